@@ -99,12 +99,10 @@ def check_command(command: Sequence[str]) -> None:
     listed = [entry.content.get("command") for entry in trusted_entries()]
     changed = content["command"] in [*listed, *_permitted.values()]
     why = "has changed since you allowed it" if changed else "was named by a file, not by you"
-    raise InvalidInput(
-        "program",
-        found=f"the program {_plain(shlex.join(content['command']))}, which {why}",
-        expected="a program that this call names, or that you trust",
-        hint=f"if you know what it does, run: fixel trust {_plain(shlex.quote(_text_of(content)))}",
-    )
+    found = f"the program {_plain(shlex.join(content['command']))}, which {why}"
+    expected = "a program that this call names, or that you trust"
+    hint = f"if you know what it does, run: fixel trust {_plain(shlex.quote(_text_of(content)))}"
+    raise InvalidInput("program", found=found, expected=expected, hint=hint)
 
 
 def check_named(*motions: str) -> None:

@@ -224,12 +224,10 @@ class Project:
             return offered("stores", type(what).__name__)(self, what)
         several = [what] if isinstance(what, Experiment) else what
         if isinstance(what, Result) and not isinstance(several, Iterable):
-            raise InvalidInput(
-                "what",
-                found=f"{type(what).__name__}, which projects do not store",
-                expected="a Calibration, DomainMap, Posterior, Sensitivity or FilterRun",
-                hint="write it to a file: .save(path)",
-            )
+            found = f"{type(what).__name__}, which projects do not store"
+            expected = "a Calibration, DomainMap, Posterior, Sensitivity or FilterRun"
+            hint = "write it to a file: .save(path)"
+            raise InvalidInput("what", found=found, expected=expected, hint=hint)
         instance(several, Iterable, "what", "experiments, or a result")
         with self.store() as store, show_progress(progress, "storing experiments") as report:
             return add_experiments(store, several, report)
@@ -451,12 +449,10 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
     """Return folder and settings of a project that is opened by the URL of its database."""
     file = url.removeprefix("sqlite:///")
     if file == url and media is None:
-        raise InvalidInput(
-            "media",
-            found="none for a database on a server",
-            expected="a folder of long arrays and videos",
-            hint="open the folder of the project, or give media=FOLDER",
-        )
+        found = "none for a database on a server"
+        expected = "a folder of long arrays and videos"
+        hint = "open the folder of the project, or give media=FOLDER"
+        raise InvalidInput("media", found=found, expected=expected, hint=hint)
     if file != url and not Path(file).is_file():
         raise StoreRefused(
             f"there is no database {file}", hint="create a project: fixel new FOLDER", is_input=True

@@ -47,12 +47,10 @@ def check_place(folder: Path, database: str | None) -> None:
     outside = _outside(folder, database)
     if outside["leads_to"] and not is_trusted(outside):
         command = shlex.join(["fixel", "trust", str(folder)])
-        raise InvalidInput(
-            str(folder),
-            found=f"a project that leads to {outside['leads_to'][0]}",
-            expected="a project in one folder, or one that you trust",
-            hint=f"if you know what is there, run: {command}",
-        )
+        found = f"a project that leads to {outside['leads_to'][0]}"
+        expected = "a project in one folder, or one that you trust"
+        hint = f"if you know what is there, run: {command}"
+        raise InvalidInput(str(folder), found=found, expected=expected, hint=hint)
 
 
 def trust_place(folder: str | Path) -> TrustedEntry:

@@ -135,12 +135,10 @@ class _Roles(NamedTuple):
     def _on_plane(self, poses: _Poses, flipped: bool) -> Iterator[str]:
         tilt = float(np.degrees(np.arccos(np.clip(np.nanmin(np.abs(poses.up)), 0.0, 1.0))))
         if tilt > MAX_TILT:
-            raise InvalidInput(
-                self.where,
-                found=f"a tilt of up to {tilt:.0f} deg of {self.part} against {self.reference}",
-                expected=f"at most {MAX_TILT:g} deg",
-                hint="the reference should be a frame, or a tag, that lies on the plane",
-            )
+            found = f"a tilt of up to {tilt:.0f} deg of {self.part} against {self.reference}"
+            expected = f"at most {MAX_TILT:g} deg"
+            hint = "the reference should be a frame, or a tag, that lies on the plane"
+            raise InvalidInput(self.where, found=found, expected=expected, hint=hint)
         height = 1e3 * poses.position[poses.there, 2]
         yield (
             f"Poses are projected on the plane of {self.reference}: heights of {height.min():.1f}"

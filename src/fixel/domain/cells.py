@@ -75,24 +75,20 @@ def refuse_missing(
             f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}"
             for name, value in ({**given, **missing}).items()
         )
-        raise InvalidInput(
-            "scene",
-            found=f"a push without {' and '.join(missing)}",
-            expected="every condition that the result distinguishes",
-            hint=f"give its own value, as in .at(scene, {', '.join(pairs)})",
-        )
+        found = f"a push without {' and '.join(missing)}"
+        expected = "every condition that the result distinguishes"
+        hint = f"give its own value, as in .at(scene, {', '.join(pairs)})"
+        raise InvalidInput("scene", found=found, expected=expected, hint=hint)
 
 
 def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
     """Label of the experiments that share the values of some conditions."""
     missing = [name for name in names if name not in conditions]
     if missing:
-        raise InvalidInput(
-            "conditions",
-            found=f"{conditions.get('experiment', 'an experiment')} without {missing[0]}",
-            expected="a condition that all experiments have",
-            hint="see which there are: fixel show",
-        )
+        found = f"{conditions.get('experiment', 'an experiment')} without {missing[0]}"
+        expected = "a condition that all experiments have"
+        hint = "see which there are: fixel show"
+        raise InvalidInput("conditions", found=found, expected=expected, hint=hint)
     return " ".join(
         f"{conditions[n]:g}" if isinstance(conditions[n], float) else str(conditions[n])
         for n in names

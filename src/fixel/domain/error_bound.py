@@ -203,11 +203,8 @@ class ConformalBound:
         """
         for where, own in (("beyond", beyond), ("part", part)):
             if own is not None and own._unit is None:
-                raise InvalidInput(
-                    where,
-                    found="bounds fitted without units",
-                    expected="units=, with whole sides or groups left out",
-                )
+                expected = "units=, with whole sides or groups left out"
+                raise InvalidInput(where, found="bounds fitted without units", expected=expected)
         pushed = None
         if contacts is not None:
             pushed = known_pushes.PushedContacts(contacts, _labels(groups, len(contacts.normal)))
@@ -516,11 +513,8 @@ def _checked(features: ArrayLike, errors: ArrayLike) -> tuple[FloatArray, FloatA
     if off.shape != (len(table),):
         raise InvalidInput("errors", found=f"shape {off.shape}", expected=f"({len(table)},)")
     if np.isnan(off).any() or (off < 0.0).any():
-        raise InvalidInput(
-            "errors",
-            found="negative numbers, or none",
-            expected="errors of 0 or more; inf for failed simulations",
-        )
+        expected = "errors of 0 or more; inf for failed simulations"
+        raise InvalidInput("errors", found="negative numbers, or none", expected=expected)
     return table, off
 
 

@@ -62,11 +62,9 @@ class HeldOutErrors(Comparable):
             columns[name] = len(getattr(self, name))
         wrong = [name for name, length in columns.items() if length != n]
         if n == 0 or wrong:
-            raise InvalidInput(
-                "evidence",
-                found=f"{n} experiments and columns of other lengths: {', '.join(wrong)}",
-                expected="one row per experiment, and at least one",
-            )
+            found = f"{n} experiments and columns of other lengths: {', '.join(wrong)}"
+            expected = "one row per experiment, and at least one"
+            raise InvalidInput("evidence", found=found, expected=expected)
         if (self.error_mm2 < 0.0).any() or (self.own_mm2 < 0.0).any():
             raise InvalidInput("evidence.error_mm2", found="a negative value", expected="errors")
 
@@ -148,12 +146,10 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
     whole(folds, "folds", 2)
     if len(first) < folds:
-        raise InvalidInput(
-            "experiments",
-            found=f"{len(first)} configurations",
-            expected=f"at least {folds}, the number of folds",
-            hint="add experiments, or use fewer folds: folds=2",
-        )
+        found = f"{len(first)} configurations"
+        expected = f"at least {folds}, the number of folds"
+        hint = "add experiments, or use fewer folds: folds=2"
+        raise InvalidInput("experiments", found=found, expected=expected, hint=hint)
     rng = np.random.default_rng(seed)
     place: dict[str, int] = {}
     at = 0

@@ -116,12 +116,10 @@ class ExperimentGroup:
     def __post_init__(self) -> None:
         settle(self, at=MappingProxyType(dict(self.at)))
         if NOMINAL not in self.at:
-            raise InvalidInput(
-                f"group {self.name}",
-                found="no nominal experiment",
-                expected="the experiment from which all others are offset",
-                hint="perform it, or select other shapes: --shape",
-            )
+            found = "no nominal experiment"
+            expected = "the experiment from which all others are offset"
+            hint = "perform it, or select other shapes: --shape"
+            raise InvalidInput(f"group {self.name}", found=found, expected=expected, hint=hint)
 
     @property
     def name(self) -> str:
@@ -153,11 +151,9 @@ class SingleCalibrations:
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.errors.shape != self.points.shape[:1]:
-            raise InvalidInput(
-                "singles",
-                found=f"points of shape {self.points.shape}, errors of {self.errors.shape}",
-                expected="a row of parameters and an error for each experiment",
-            )
+            found = f"points of shape {self.points.shape}, errors of {self.errors.shape}"
+            expected = "a row of parameters and an error for each experiment"
+            raise InvalidInput("singles", found=found, expected=expected)
         settle(self, joint=MappingProxyType(dict(self.joint)))
 
 

@@ -66,12 +66,10 @@ class CalibrationModel:
 
     def __post_init__(self) -> None:
         if not isinstance(self.error, MeanSquare | EndPose):
-            raise InvalidInput(
-                "calibration",
-                found=f"one with the error {self.error.name} [{self.error.unit}]",
-                expected="mean-square or end-pose [mm^2], the errors of a map",
-                hint="calibrate again with error='mean-square'",
-            )
+            found = f"one with the error {self.error.name} [{self.error.unit}]"
+            expected = "mean-square or end-pose [mm^2], the errors of a map"
+            hint = "calibrate again with error='mean-square'"
+            raise InvalidInput("calibration", found=found, expected=expected, hint=hint)
 
 
 class HeldOut(NamedTuple):

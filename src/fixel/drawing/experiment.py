@@ -161,11 +161,9 @@ def _common_time(experiment: Experiment, simulated: Trajectory) -> Trajectory:
     # Both clocks are multiples of a frame, but rounded differently.
     both = (time >= simulated.time[0] - 1e-9) & (time <= simulated.time[-1] + 1e-9)
     if not both.any():
-        raise InvalidInput(
-            "simulated.time",
-            found=f"{simulated.time[0]:g} to {simulated.time[-1]:g} s",
-            expected=f"a part of the measured time, {time[0]:g} to {time[-1]:g} s",
-        )
+        found = f"{simulated.time[0]:g} to {simulated.time[-1]:g} s"
+        expected = f"a part of the measured time, {time[0]:g} to {time[-1]:g} s"
+        raise InvalidInput("simulated.time", found=found, expected=expected)
     return Trajectory(time=time[both], pose=experiment.trajectory.pose[both])
 
 

@@ -64,12 +64,8 @@ def tag_sheets(
         wide = max(tag.size + 2.0 * cell, 0.02) + BETWEEN
         tall = tag.size + 2.0 * cell + LETTERS + BETWEEN
         if wide > page[0] - 2 * EDGE or tall > page[1] - 2 * EDGE - FOOT:
-            raise InvalidInput(
-                "tag.size",
-                found=f"{1e3 * tag.size:g} mm",
-                expected=f"small enough to fit on {paper}",
-                hint="another --paper",
-            )
+            found, expected = f"{1e3 * tag.size:g} mm", f"small enough to fit on {paper}"
+            raise InvalidInput("tag.size", found=found, expected=expected, hint="another --paper")
         if x + wide > page[0] - EDGE:
             x, y, row = EDGE, y + row, 0.0
         if y + tall > page[1] - EDGE - FOOT:
@@ -88,12 +84,8 @@ def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
     refuse_unwritable(path)
     as_pdf, dots = Path(path).suffix.lower() == ".pdf", PER_METRE * 0.0254
     if len(sheets) > 1 and not as_pdf:
-        raise InvalidInput(
-            str(path),
-            found=f"{len(sheets)} sheets",
-            expected="one sheet, for a PNG",
-            hint="write a .pdf",
-        )
+        found, expected = f"{len(sheets)} sheets", "one sheet, for a PNG"
+        raise InvalidInput(str(path), found=found, expected=expected, hint="write a .pdf")
     images = [rastered(sheet) for sheet in sheets]
     with written_whole(Path(path)) as file:
         if as_pdf:

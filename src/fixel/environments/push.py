@@ -159,12 +159,9 @@ class PushVectorEnv(base.BatchEnv):
             )
             if depth < 0.0 and not self._success(*poses[:, None]).any():
                 return np.array([*agent, *poses.ravel()])
-        raise InvalidInput(
-            "scene",
-            found=f"no start without overlap in {base.MAX_REDRAWS} draws",
-            expected="room on the table",
-            hint="increase half_side, or move the goal away from the fixels",
-        )
+        found = f"no start without overlap in {base.MAX_REDRAWS} draws"
+        hint = "increase half_side, or move the goal away from the fixels"
+        raise InvalidInput("scene", found=found, expected="room on the table", hint=hint)
 
     def _advance(self, actions: FloatArray) -> None:
         self._motion.step(self.half_side * np.clip(actions, -1.0, 1.0))

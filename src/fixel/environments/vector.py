@@ -390,12 +390,10 @@ def _refuse_other_part(scene: Scene, belief: Belief, names: Iterable[str]) -> No
     known = getattr(belief.parameters, "known", None)
     own = [name for name in names if name.startswith(_OF_ONE_PART)]
     if own and isinstance(known, KnownPushes) and not known.has_outline(scene):
-        raise InvalidInput(
-            f"parameters.{own[0]}",
-            found="values of a part with another outline than the one that is pushed here",
-            expected="a calibration of this part",
-            hint="or ranges by name, such as parameters={'mu_pusher': (0.1, 0.3)}",
-        )
+        found = "values of a part with another outline than the one that is pushed here"
+        expected = "a calibration of this part"
+        hint = "or ranges by name, such as parameters={'mu_pusher': (0.1, 0.3)}"
+        raise InvalidInput(f"parameters.{own[0]}", found=found, expected=expected, hint=hint)
 
 
 def _with_support(scene: Scene, names: Iterable[str]) -> Scene:

@@ -225,11 +225,8 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
     idle = {name: reason for name, reason in _idle(scene).items() if name in chosen}
     for name in idle:
         if priors.get(name) is not None:
-            raise InvalidInput(
-                f"filter.priors {name}",
-                found=f"a fixed value ({idle[name]})",
-                expected="a parameter that changes the scene",
-            )
+            found, expected = f"a fixed value ({idle[name]})", "a parameter that changes the scene"
+            raise InvalidInput(f"filter.priors {name}", found=found, expected=expected)
     kept = {n: bounds for n, bounds in chosen.items() if bounds is not None and n not in idle}
     bounds = np.array([*kept.values()], np.float64).reshape(-1, 2)
     return UniformPrior(tuple(kept), bounds[:, 0].copy(), bounds[:, 1].copy())

@@ -299,11 +299,9 @@ def _frames(
     first = max(float(first), float(track.time[0]))
     instants = _instants(track, pusher, first, min(float(last), float(pusher.time[-1])))
     if len(instants) < 2:
-        raise InvalidInput(
-            f"experiment {experiment.key}.effective",
-            found=f"{len(instants)} measured instants from {first:g} to {last:g} s",
-            expected="at least two, of object and pusher",
-        )
+        found = f"{len(instants)} measured instants from {first:g} to {last:g} s"
+        expected = "at least two, of object and pusher"
+        raise InvalidInput(f"experiment {experiment.key}.effective", found=found, expected=expected)
     occlusion = _checked_occlusion(experiment, occlusion, instants)
     hidden = _within(instants, occlusion)
     nearest = np.abs(track.time[:, None] - instants).argmin(axis=0)

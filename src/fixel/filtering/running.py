@@ -208,11 +208,8 @@ class RunningFilter:
             known = touches[~np.isnan(touches)]
             n_fixel = self._mechanics.gaps.n_fixel
             if touches.shape != (n_fixel,) or not np.isin(known, (0.0, 1.0)).all():
-                raise InvalidInput(
-                    "frame.touches",
-                    found=frame.touches,
-                    expected=f"{n_fixel} readings, one per fixel, each 0, 1 or NaN",
-                )
+                expected = f"{n_fixel} readings, one per fixel, each 0, 1 or NaN"
+                raise InvalidInput("frame.touches", found=frame.touches, expected=expected)
             sight = sight._replace(ones=1.0 * (touches == 1.0), zeros=1.0 * (touches == 0.0))
         return pusher, sight
 

@@ -158,12 +158,9 @@ def _read(storage: Any, size: tuple[int, int] | None) -> MeasuredCamera:
     stated = (int(width), int(height)) if width and height else None
     said = stated or _pair(storage.getNode("image_size")) or size
     if said is None:
-        raise InvalidInput(
-            "image_width",
-            found=None,
-            expected="the size of the pictures it was calibrated with",
-            hint="give it with --size, such as --size 1280x720",
-        )
+        expected = "the size of the pictures it was calibrated with"
+        hint = "give it with --size, such as --size 1280x720"
+        raise InvalidInput("image_width", found=None, expected=expected, hint=hint)
     fisheye = bool(_number(storage, ("fisheye_model", "fisheye")))
     return MeasuredCamera(lens=lens_of(said, matrix, distortion, fisheye=fisheye))
 
@@ -203,9 +200,7 @@ def _check_export(lens: Lens, path: str | Path, format: str) -> None:
     refuse_ending(path, ENDINGS[format], "camera")
     if lens.skew and not lens.fisheye:
         width = lens.skew * lens.image_size[1] / 2.0
-        raise InvalidInput(
-            "lens.skew",
-            found=f"a skew of {lens.skew:g}",
-            expected="no skew: OpenCV and ROS ignore it in projections",
-            hint=f"positions at the edge would be {abs(width):.2f} px wrong",
-        )
+        found = f"a skew of {lens.skew:g}"
+        expected = "no skew: OpenCV and ROS ignore it in projections"
+        hint = f"positions at the edge would be {abs(width):.2f} px wrong"
+        raise InvalidInput("lens.skew", found=found, expected=expected, hint=hint)

@@ -215,12 +215,9 @@ class _FilmCheck:
         instant = decoded.pts * Fraction(decoded.time_base)
         if self._last is not None and instant <= self._last:
             how = "the time of the previous frame" if instant == self._last else "a decreasing time"
-            raise InvalidInput(
-                where,
-                found=f"{how}: {float(instant):.6f} s after {float(self._last):.6f} s",
-                expected="increasing time stamps",
-                hint="the film was cut or joined; track its parts one by one",
-            )
+            found = f"{how}: {float(instant):.6f} s after {float(self._last):.6f} s"
+            hint = "the film was cut or joined; track its parts one by one"
+            raise InvalidInput(where, found=found, expected="increasing time stamps", hint=hint)
         self._last = instant
         self.times.append(float(instant))
         if decoded.is_corrupt:

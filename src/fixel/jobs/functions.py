@@ -37,12 +37,9 @@ def named_function(name: str) -> Any:
     kind, _, attribute = name.partition(":")
     module = offered("jobs", kind) if kind in offers("jobs") else None
     if module is None or (module.__name__, attribute) not in _ALLOWED:
-        raise InvalidInput(
-            "function of a job",
-            found=name,
-            expected=f"KIND:FUNCTION of {', '.join(offers('jobs'))} with @callable_by_jobs",
-            hint="a job of an older version of fixel cannot be resumed; start it again",
-        )
+        expected = f"KIND:FUNCTION of {', '.join(offers('jobs'))} with @callable_by_jobs"
+        hint = "a job of an older version of fixel cannot be resumed; start it again"
+        raise InvalidInput("function of a job", found=name, expected=expected, hint=hint)
     return getattr(module, attribute)
 
 

@@ -195,12 +195,10 @@ def require_slurm() -> None:
     """Raise `InvalidInput` if the commands of SLURM are missing."""
     for command in ("sbatch", "squeue", "scancel"):
         if shutil.which(command) is None:
-            raise InvalidInput(
-                "scheduler slurm",
-                found=f"no command {command}",
-                expected="a machine from which jobs can be submitted",
-                hint="work on the login node of the cluster, or without a site",
-            )
+            found = f"no command {command}"
+            expected = "a machine from which jobs can be submitted"
+            hint = "work on the login node of the cluster, or without a site"
+            raise InvalidInput("scheduler slurm", found=found, expected=expected, hint=hint)
 
 
 def submit(script: Path) -> str:

@@ -122,9 +122,7 @@ def trust_site(site: Site) -> None:
 def check_site(site: Site) -> None:
     """Raise `InvalidInput` for lines of a site that only the folder of a job names."""
     if site.shell_lines and not is_trusted({"site": site.shell_lines}):
-        raise InvalidInput(
-            "site",
-            found=f"lines in the folder of the job that you have not named: {site.shell_lines}",
-            expected="the lines of a site template of yours",
-            hint="read them, and name the template again: fixel jobs resume FOLDER --site FILE",
-        )
+        found = f"lines in the folder of the job that you have not named: {site.shell_lines}"
+        expected = "the lines of a site template of yours"
+        hint = "read them, and name the template again: fixel jobs resume FOLDER --site FILE"
+        raise InvalidInput("site", found=found, expected=expected, hint=hint)

@@ -174,12 +174,8 @@ class LineDrive(Comparable):
         check_fields(self, "drive", ("travel",) if self.travel == inf else ())
         length = hypot(*self.direction)
         if length == 0.0:
-            raise InvalidInput(
-                "drive.direction",
-                found="(0, 0)",
-                expected="a direction",
-                hint="for a drive at rest, use any direction and speed 0",
-            )
+            hint = "for a drive at rest, use any direction and speed 0"
+            raise InvalidInput("drive.direction", found="(0, 0)", expected="a direction", hint=hint)
         if abs(length - 1.0) > UNIT_LENGTH:
             settle(self, direction=frozen(self.direction / length))
 
@@ -306,24 +302,20 @@ def _check_times(instants: FloatArray) -> None:
     if (steps <= 0.0).any():
         row = int(np.argmax(steps <= 0.0)) + 1
         motion = "has decreasing times" if steps[row - 1] < 0.0 else "has repeated times"
-        raise InvalidInput(
-            f"drive.waypoints[{row}]",
-            found=f"t = {instants[row]:g} s after {instants[row - 1]:g} s: the path {motion}",
-            expected="increasing times",
-            hint="sort the rows by time and drop repeated ones",
-        )
+        found = f"t = {instants[row]:g} s after {instants[row - 1]:g} s: the path {motion}"
+        expected = "increasing times"
+        hint = "sort the rows by time and drop repeated ones"
+        raise InvalidInput(f"drive.waypoints[{row}]", found=found, expected=expected, hint=hint)
 
 
 def _check_angles(angle: FloatArray) -> None:
     steps = np.abs(np.diff(angle))
     if (steps > pi).any():
         row = int(np.argmax(steps > pi)) + 1
-        raise InvalidInput(
-            f"drive.waypoints[{row}]",
-            found=f"an angle of {angle[row]:g} rad after {angle[row - 1]:g} rad",
-            expected="a change of at most half a turn between samples",
-            hint="unwrap the angles first, for example with numpy.unwrap",
-        )
+        found = f"an angle of {angle[row]:g} rad after {angle[row - 1]:g} rad"
+        expected = "a change of at most half a turn between samples"
+        hint = "unwrap the angles first, for example with numpy.unwrap"
+        raise InvalidInput(f"drive.waypoints[{row}]", found=found, expected=expected, hint=hint)
 
 
 @final

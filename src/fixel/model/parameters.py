@@ -219,12 +219,9 @@ def info_of(name: str, where: str = "parameters") -> ParameterInfo:
     if "." in str(name):
         return engine_parameter(name)
     if "[" in str(name):
-        raise InvalidInput(
-            where,
-            found=f"{name!r}, a value for some conditions only",
-            expected="one value for each parameter",
-            hint="fit.values_for(...) selects them",
-        )
+        found = f"{name!r}, a value for some conditions only"
+        hint = "fit.values_for(...) selects them"
+        raise InvalidInput(where, found=found, expected="one value for each parameter", hint=hint)
     raise unknown_name(where, name, KNOWN_PARAMETERS, more=", load_1, load_2, ...")
 
 

@@ -304,12 +304,10 @@ def _check_friction(scene: Scene) -> None:
         covered |= np.outer(first, second) | np.outer(second, first)
     if not covered.all():
         a, b = (free[k] for k in np.argwhere(~covered)[0])
-        raise InvalidInput(
-            "contact_friction",
-            found=f"no entry for the free bodies {a!r} and {b!r}",
-            expected="an entry for every pair of free bodies",
-            hint=f"add {{pair: [{a}, {b}], friction: 0.3}}, or pair: ['*', '*'] for all at once",
-        )
+        found = f"no entry for the free bodies {a!r} and {b!r}"
+        expected = "an entry for every pair of free bodies"
+        hint = f"add {{pair: [{a}, {b}], friction: 0.3}}, or pair: ['*', '*'] for all at once"
+        raise InvalidInput("contact_friction", found=found, expected=expected, hint=hint)
 
 
 def _check_overlaps(scene: Scene) -> None:

@@ -130,12 +130,10 @@ class Unknown(Comparable):
         nominal = finite(self.nominal, f"{self.name}.nominal", unit)
         check_bounds(low, high, self.name, info)
         if not low <= nominal <= high:
-            raise InvalidInput(
-                f"{self.name}.start",
-                found=f"{nominal:g} outside the bounds {low:g} to {high:g}",
-                expected="a start within them",
-                hint="move the start, or widen the bounds",
-            )
+            found = f"{nominal:g} outside the bounds {low:g} to {high:g}"
+            expected = "a start within them"
+            hint = "move the start, or widen the bounds"
+            raise InvalidInput(f"{self.name}.start", found=found, expected=expected, hint=hint)
         scale = SHARE_OF_RANGE * (high - low) if self.scale is None else self.scale
         settle(
             self,

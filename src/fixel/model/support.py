@@ -364,12 +364,9 @@ def support_points(
     elif isinstance(support, NoSupport):
         points, loads, friction = np.zeros((0, 2)), np.zeros(0), 0.0
     else:
-        raise InvalidInput(
-            "support",
-            found=type(support).__name__,
-            expected="Tripod, SupportPoints, UniformPressure or NoSupport",
-            hint="an ellipsoidal limit surface has no points",
-        )
+        expected = "Tripod, SupportPoints, UniformPressure or NoSupport"
+        hint = "an ellipsoidal limit surface has no points"
+        raise InvalidInput("support", found=type(support).__name__, expected=expected, hint=hint)
     return frozen(points), frozen(loads), frozen(np.broadcast_to(friction, loads.shape))
 
 
@@ -388,12 +385,8 @@ def _barycentric(points: FloatArray, com: FloatArray) -> FloatArray:
     """Shares of three points in a weight at the origin; raise if one would pull."""
     share = triangle_shares(points)
     if np.isnan(share).any():
-        raise InvalidInput(
-            "support.points.at",
-            found="three points on one line",
-            expected="a triangle",
-            hint="give more points, or move one",
-        )
+        found, hint = "three points on one line", "give more points, or move one"
+        raise InvalidInput("support.points.at", found=found, expected="a triangle", hint=hint)
     if share.min() < -LOAD_ROUNDING:
         weights = ", ".join(f"{s:.4g}" for s in share)
         raise InvalidInput(
@@ -470,12 +463,10 @@ def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArra
 
 def _check_loads(loads: FloatArray) -> None:
     if len(loads) == 3:
-        raise InvalidInput(
-            "points.loads",
-            found="loads for three points",
-            expected="no loads, since equilibrium determines them",
-            hint="remove the loads, or split one point into two",
-        )
+        found = "loads for three points"
+        expected = "no loads, since equilibrium determines them"
+        hint = "remove the loads, or split one point into two"
+        raise InvalidInput("points.loads", found=found, expected=expected, hint=hint)
     if loads.sum() <= 0.0:
         raise InvalidInput("points.loads", found="only zeros", expected="at least one load above 0")
 

@@ -76,12 +76,10 @@ class StandingPart:
         )
         own = varied.elements
         if own.point.shape[-2] < 4 or own.point.ndim > 2 or own.arm.any():
-            raise InvalidInput(
-                "experiments",
-                found=f"a part on {own.point.shape[-2]} points, such as {pushes.targets[0].key}",
-                expected="parts on four or more support points, or with uniform pressure",
-                hint="the loads of three points are the same on every table",
-            )
+            found = f"a part on {own.point.shape[-2]} points, such as {pushes.targets[0].key}"
+            expected = "parts on four or more support points, or with uniform pressure"
+            hint = "the loads of three points are the same on every table"
+            raise InvalidInput("experiments", found=found, expected=expected, hint=hint)
         self.points = own.point + body.com
         self.outline = start[:, 0] if varied.start is None else varied.start[:, 0]
         self.loads = np.array(np.broadcast_to(own.load, (n, len(self.points))))

@@ -342,11 +342,8 @@ def ends(value: Any, name: str) -> Interval:
     except (TypeError, ValueError):
         low = high = math.nan
     if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise InvalidInput(
-            f"belief.parameters.{name}",
-            found=repr(value),
-            expected="a number, or (low, high) with low <= high",
-        )
+        expected = "a number, or (low, high) with low <= high"
+        raise InvalidInput(f"belief.parameters.{name}", found=repr(value), expected=expected)
     return low, high
 
 
@@ -390,11 +387,8 @@ def _check_sets(sets: Sequence[Any], where: str) -> None:
         instance(own, Mapping, f"{where}[{k}]", "a mapping of names to values")
         Parameters(own)
         if set(own) != set(sets[0]):
-            raise InvalidInput(
-                f"{where}[{k}]",
-                found=", ".join(own),
-                expected=f"the parameters of the first set: {', '.join(sets[0])}",
-            )
+            expected = f"the parameters of the first set: {', '.join(sets[0])}"
+            raise InvalidInput(f"{where}[{k}]", found=", ".join(own), expected=expected)
 
 
 def _without_start(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -112,12 +112,9 @@ class CorrectionTable:
         if trusted is not None:
             ways = ways[[trusted(own[0]) for own in ways]]
         if not len(ways):
-            raise InvalidInput(
-                "looks",
-                found="no correction that resembles an experiment",
-                expected="some",
-                hint="record pushes of all sides, or plan with untrusted=True",
-            )
+            found = "no correction that resembles an experiment"
+            hint = "record pushes of all sides, or plan with untrusted=True"
+            raise InvalidInput("looks", found=found, expected="some", hint=hint)
         planned = alone.planned(ways)
         good = np.flatnonzero(planned.nominal.failure == CARRIED_OUT)
         planned, ways = planned.rows(good), ways[good]

@@ -103,11 +103,8 @@ def held_success(
     """
     positive(position, "position", "m"), positive(angle, "angle", "rad")
     if len(experiments) < LEAST:
-        raise InvalidInput(
-            "experiments",
-            found=f"{len(experiments)} pushes",
-            expected=f"{LEAST} or more, to leave some out and choose among them",
-        )
+        expected = f"{LEAST} or more, to leave some out and choose among them"
+        raise InvalidInput("experiments", found=f"{len(experiments)} pushes", expected=expected)
     rng = np.random.default_rng(seed)
     fold = rng.permutation(len(experiments)) % FOLDS
     parts = []

@@ -371,8 +371,5 @@ def check_looks(search: PlanSearch) -> None:
     pose_alone = (PoseRegion, Inside, Beyond)
     for own in simulator.goal.clauses if looks else ():
         if not isinstance(own, pose_alone):
-            raise InvalidInput(
-                "looks",
-                found=f"the goal: {own}",
-                expected="a goal that a seen pose can meet: PoseRegion, Inside or Beyond",
-            )
+            expected = "a goal that a seen pose can meet: PoseRegion, Inside or Beyond"
+            raise InvalidInput("looks", found=f"the goal: {own}", expected=expected)

@@ -213,12 +213,10 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
     plan = surviving_plan(part, least)
     if plan is None:
         largest = degrees(_largest_error(PushFunction.of(part)))
-        raise InvalidInput(
-            "angle_error",
-            found=f"{degrees(least):.3g} deg",
-            expected=f"at most {largest:.3g} deg for this part",
-            hint="no plan of any length survives a larger error of the rotations",
-        )
+        found = f"{degrees(least):.3g} deg"
+        expected = f"at most {largest:.3g} deg for this part"
+        hint = "no plan of any length survives a larger error of the rotations"
+        raise InvalidInput("angle_error", found=found, expected=expected, hint=hint)
     return plan
 
 
@@ -251,11 +249,8 @@ def hull_of(part: Body | Shape) -> FloatArray:
     com = part.com if isinstance(part, Body) else shape.centroid
     hull = shapely.Polygon(shape.outline).convex_hull
     if not hull.contains(shapely.Point(*com)):
-        raise InvalidInput(
-            "part",
-            found=f"a centre of mass at ({com[0]:g}, {com[1]:g}), outside the outline",
-            expected="a centre of mass inside the outline",
-        )
+        found = f"a centre of mass at ({com[0]:g}, {com[1]:g}), outside the outline"
+        raise InvalidInput("part", found=found, expected="a centre of mass inside the outline")
     ring = shapely.get_coordinates(shapely.orient_polygons(hull).exterior)[:-1]
     return np.asarray(ring - com)
 

@@ -171,11 +171,9 @@ class FreePushes:
         check_name("choose.cost", self.cost, get_args(Cost))
         settle(self, obstacles=_regions(self.obstacles), keep=texts(self.keep, "choose.keep"))
         if self.angle >= 0.5 * math.pi:
-            raise InvalidInput(
-                "choose.angle",
-                found=f"{math.degrees(self.angle):.3g} deg",
-                expected="less than 90 deg from the inward normal",
-            )
+            found = f"{math.degrees(self.angle):.3g} deg"
+            expected = "less than 90 deg from the inward normal"
+            raise InvalidInput("choose.angle", found=found, expected=expected)
 
     def names(self, scene: Scene) -> tuple[str, ...]:
         """Names of the three numbers of a push, four where the tool turns."""
@@ -514,12 +512,10 @@ def _part(scene: Scene, keep: Sequence[str]) -> Body:
 def _line(scene: Scene) -> LineDrive:
     drive = scene.pushers[0].drive if scene.pushers else None
     if not isinstance(drive, LineDrive) or drive.speed == 0.0:
-        raise InvalidInput(
-            "scene.pushers",
-            found="no pusher with a LineDrive",
-            expected="a pusher that moves along a straight line",
-            hint="to plan pushes of a free tool, give choose=FreePushes()",
-        )
+        found = "no pusher with a LineDrive"
+        expected = "a pusher that moves along a straight line"
+        hint = "to plan pushes of a free tool, give choose=FreePushes()"
+        raise InvalidInput("scene.pushers", found=found, expected=expected, hint=hint)
     return drive
 
 

@@ -88,11 +88,9 @@ class OffsetAxis:
         check_name("axis.name", self.name, AXES)
         settle(self, step=positive(self.step, "axis.step", "rad" if self.name == "theta" else "m"))
         if not self.first <= self.last or max(-self.first, self.last) > MAX_OFFSETS:
-            raise InvalidInput(
-                "axis.last",
-                found=f"steps {self.first} to {self.last}",
-                expected=f"first <= last, and at most {MAX_OFFSETS} steps",
-            )
+            found = f"steps {self.first} to {self.last}"
+            expected = f"first <= last, and at most {MAX_OFFSETS} steps"
+            raise InvalidInput("axis.last", found=found, expected=expected)
 
     def __len__(self) -> int:
         return self.last - self.first + 1 - (self.first <= 0 <= self.last)

@@ -111,12 +111,10 @@ class Plan:
             raise InvalidInput("places", found="none", expected="at least [0, 0, 0]")
         whole(self.repetitions, "repetitions")
         if self.total > MAX_EXPERIMENTS:
-            raise InvalidInput(
-                "plan",
-                found=f"{self.total} experiments",
-                expected=f"at most {MAX_EXPERIMENTS}",
-                hint="use coarser grids, or sample instead",
-            )
+            found = f"{self.total} experiments"
+            expected = f"at most {MAX_EXPERIMENTS}"
+            hint = "use coarser grids, or sample instead"
+            raise InvalidInput("plan", found=found, expected=expected, hint=hint)
 
     @property
     def configurations(self) -> int:

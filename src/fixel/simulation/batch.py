@@ -147,11 +147,8 @@ def simulate_batch(  # type: ignore[misc]
     if not isinstance(scene, Scene):
         varied = any(given is not None for given in (parameters, start, waypoints))
         if varied or accuracy or derivatives:
-            raise InvalidInput(
-                "scene",
-                found="several scenes with variations, accuracy or derivatives",
-                expected="one scene to vary",
-            )
+            found = "several scenes with variations, accuracy or derivatives"
+            raise InvalidInput("scene", found=found, expected="one scene to vary")
         return _simulate_scenes(scene, motion, stepper, solver, method, duration, times, threads)
     check_method(scene, solver)
     if derivatives:

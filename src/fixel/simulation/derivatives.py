@@ -31,12 +31,10 @@ PASS: Final = 512  # rollouts whose tapes are held at once
 def check_differentiable(scene: Scene, motion: AbstractMotionModel) -> None:
     """Raise where contact modes do not describe the motion."""
     if motion.kind != codes.QUASI_STATIC or len(scene.bodies) != 1:
-        raise InvalidInput(
-            "derivatives",
-            found=f"{motion.name} motion of {len(scene.bodies)} free bodies",
-            expected="quasi-static motion of one body",
-            hint='motion="quasistatic"',
-        )
+        found = f"{motion.name} motion of {len(scene.bodies)} free bodies"
+        expected = "quasi-static motion of one body"
+        hint = 'motion="quasistatic"'
+        raise InvalidInput("derivatives", found=found, expected=expected, hint=hint)
 
 
 def end_slopes(

@@ -127,12 +127,10 @@ def balance(
     Source: Csiszar (1975), I-divergence geometry of probability distributions.
     """
     if centre_at is None and not can_balance(points):
-        raise InvalidInput(
-            "support",
-            found="a centre of mass that is not above the support points",
-            expected="a centre of mass inside their hull",
-            hint="give the support points of the body",
-        )
+        found = "a centre of mass that is not above the support points"
+        expected = "a centre of mass inside their hull"
+        hint = "give the support points of the body"
+        raise InvalidInput("support", found=found, expected=expected, hint=hint)
     tilt = np.zeros((len(exponent), 2))
     height = _log_sum(exponent)
     for _ in range(STEPS):

@@ -168,11 +168,8 @@ class OtherEngine(AbstractMotionModel):
     name: str  # type: ignore[misc]
 
     def assemble(self, *rows: Any, **options: Any) -> NoReturn:
-        raise InvalidInput(
-            "motion",
-            found=f"the engine {self.name}",
-            expected="a motion model of fixel: this needs contacts, forces or many bodies",
-        )
+        expected = "a motion model of fixel: this needs contacts, forces or many bodies"
+        raise InvalidInput("motion", found=f"the engine {self.name}", expected=expected)
 
     move = assemble
 

@@ -306,12 +306,10 @@ def check_motion(scene: Scene, motion_kind: int, friction: Sequence[float] | Non
     friction = _friction_forces(supports_of(scene), scene) if friction is None else friction
     for k, body in enumerate(scene.bodies):
         if friction[k] <= 0.0:
-            raise InvalidInput(
-                f"bodies[{k}].support",
-                found=f"no support friction under body {body.name!r}",
-                expected="support friction, for motion without inertia",
-                hint="give it a support with friction, or choose dynamic motion",
-            )
+            found = f"no support friction under body {body.name!r}"
+            expected = "support friction, for motion without inertia"
+            hint = "give it a support with friction, or choose dynamic motion"
+            raise InvalidInput(f"bodies[{k}].support", found=found, expected=expected, hint=hint)
 
 
 class PackedBatch(NamedTuple):
@@ -592,11 +590,8 @@ class Template:
                 rows.place(at.PATH, int(start[-1]))
                 return (np.concatenate(waypoints) if waypoints else np.zeros((0, 4))), start
             if len(waypoints) > 1:
-                raise InvalidInput(
-                    "parameters.registration_x",
-                    found=f"{len(waypoints)} pushers",
-                    expected="a scene with one pusher",
-                )
+                found, expected = f"{len(waypoints)} pushers", "a scene with one pusher"
+                raise InvalidInput("parameters.registration_x", found=found, expected=expected)
             path = waypoints[0][None]
         of = variation.path_of
         if registration is not None:

@@ -367,11 +367,8 @@ class Simulator:
         if start is not None:
             poses = floats(start, "start", "x [m], y [m], theta [rad] of each free body")
             if poses.shape not in {(len(bodies), 3), (3,) if len(bodies) == 1 else ()}:
-                raise InvalidInput(
-                    "start",
-                    found=f"shape {poses.shape}",
-                    expected=f"one pose for each free body, shape ({len(bodies)}, 3)",
-                )
+                expected = f"one pose for each free body, shape ({len(bodies)}, 3)"
+                raise InvalidInput("start", found=f"shape {poses.shape}", expected=expected)
             pairs = zip(bodies, poses.reshape(-1, 3), strict=True)
             bodies = tuple(replace(body, pose=pose) for body, pose in pairs)
         if waypoints is not None:
@@ -454,12 +451,9 @@ def one_variation(parameters: Parameters | None) -> Variation:
 def check_method(scene: Scene, solver: AbstractSolver) -> None:
     """Raise for a solver that does not support the scene's friction."""
     if isinstance(solver, Lemke) and not scene.support_directions:
-        raise InvalidInput(
-            "solver",
-            found="the solver lemke with exact friction discs",
-            expected="linearised friction",
-            hint="set support_directions to 4 or more (16 in the thesis), or choose Newton",
-        )
+        found = "the solver lemke with exact friction discs"
+        hint = "set support_directions to 4 or more (16 in the thesis), or choose Newton"
+        raise InvalidInput("solver", found=found, expected="linearised friction", hint=hint)
 
 
 def method_of(
@@ -512,12 +506,9 @@ def check_compiled(
     """Raise for parts of a method that the compiled loop does not support."""
     for role, part in (("motion", motion), ("stepper", stepper), ("solver", solver)):
         if not is_compiled(part):
-            raise InvalidInput(
-                role,
-                found=type(part).__name__,
-                expected="a part of the compiled loop, since batches run only in it",
-                hint="call simulate for each rollout",
-            )
+            expected = "a part of the compiled loop, since batches run only in it"
+            hint = "call simulate for each rollout"
+            raise InvalidInput(role, found=type(part).__name__, expected=expected, hint=hint)
 
 
 def sample_times(duration: float, interval: float) -> FloatArray:
@@ -552,12 +543,10 @@ def _roll_compiled(
         room = math.ceil(duration / stepper.first_step * (1.0 + 1e-9)) + 2
     while True:
         if room > MAX_SAMPLES:
-            raise InvalidInput(
-                "output_interval",
-                found=f"none, with {room} steps",
-                expected=f"at most {MAX_SAMPLES} samples",
-                hint=f"set output_interval, for example to {duration / 1000:.3g} s",
-            )
+            found = f"none, with {room} steps"
+            expected = f"at most {MAX_SAMPLES} samples"
+            hint = f"set output_interval, for example to {duration / 1000:.3g} s"
+            raise InvalidInput("output_interval", found=found, expected=expected, hint=hint)
         record = borrowed_record(packed, room, per_sample * room)
         _roll_one(packed, method, record, every_step=True)
         n_sample = int(record.count[0, arrays.STEPS_TAKEN]) + 1

@@ -78,11 +78,9 @@ def vary(
     _check_own(values)
     plane = varied_plane(scene, values)
     if plane.ndim == 2 and _is_slippery(plane).any():  # changed by parameters
-        raise InvalidInput(
-            "parameters.anisotropy_xy",
-            found="a plane without friction along one axis",
-            expected=f"differences from the mean below {1.0 - MIN_FACTOR:g}",
-        )
+        found = "a plane without friction along one axis"
+        expected = f"differences from the mean below {1.0 - MIN_FACTOR:g}"
+        raise InvalidInput("parameters.anisotropy_xy", found=found, expected=expected)
     start = varied_start(scene, variation.start, values)
     return VariedScene(
         start=start,
@@ -101,12 +99,9 @@ def _check_own(values: Values) -> None:
     for name in values:
         engine, dot, _ = name.partition(".")
         if dot:
-            raise InvalidInput(
-                "parameters",
-                found=name,
-                expected="parameters of the scene, for a motion model of fixel",
-                hint=f"simulate by the engine: motion={engine!r}, or --engine {engine}",
-            )
+            expected = "parameters of the scene, for a motion model of fixel"
+            hint = f"simulate by the engine: motion={engine!r}, or --engine {engine}"
+            raise InvalidInput("parameters", found=name, expected=expected, hint=hint)
 
 
 def _only_body(scene: Scene, name: str) -> Body:
@@ -144,12 +139,10 @@ def varied_elements(
         elements = _at_radius(elements, values["tripod_radius"])
     if "mu_support" in values:
         if np.any(elements.kind == codes.ELLIPSOID):
-            raise InvalidInput(
-                "parameters.mu_support",
-                found="a body on an ellipsoidal limit surface, which has no coefficient",
-                expected="bodies on support points",
-                hint="change the force and torque of the ellipsoid instead",
-            )
+            found = "a body on an ellipsoidal limit surface, which has no coefficient"
+            expected = "bodies on support points"
+            hint = "change the force and torque of the ellipsoid instead"
+            raise InvalidInput("parameters.mu_support", found=found, expected=expected, hint=hint)
         mu = values["mu_support"][:, None] * np.ones(len(elements.body))
         elements = elements._replace(friction=mu)
     if "ellipsoid_force" in values or "ellipsoid_torque" in values:
@@ -190,11 +183,9 @@ def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Ele
     """Replace the supports by pressure under the whole body, with the same total friction."""
     points, share = pressure_shares(scene, spread)
     if not (share >= -LOAD_ROUNDING).all():
-        raise InvalidInput(
-            "parameters.pressure_spread",
-            found="pressure that would be negative at one end",
-            expected="a centre of mass closer to the centroid",
-        )
+        found = "pressure that would be negative at one end"
+        expected = "a centre of mass closer to the centroid"
+        raise InvalidInput("parameters.pressure_spread", found=found, expected=expected)
     return _pressing(scene, elements, points, np.maximum(share, 0.0))
 
 
@@ -247,11 +238,9 @@ def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
 def _on_three_points(scene: Scene, elements: Elements, values: Values) -> Elements:
     points, share = three_points(scene, values)
     if not (share >= -LOAD_ROUNDING).all():
-        raise InvalidInput(
-            "parameters.support_1_x",
-            found="support points with the centre of mass outside their triangle",
-            expected="points whose triangle contains the centre of mass",
-        )
+        found = "support points with the centre of mass outside their triangle"
+        expected = "points whose triangle contains the centre of mass"
+        raise InvalidInput("parameters.support_1_x", found=found, expected=expected)
     body = scene.bodies[0]
     return elements._replace(
         point=points - body.com, load=body.mass * scene.gravity * np.maximum(share, 0.0)
@@ -295,12 +284,10 @@ def _on_table(
     body = scene.bodies[0]
     known = isinstance(body.support, SupportPoints | UniformPressure) and len(elements.body) >= 4
     if len(scene.bodies) != 1 or not known:
-        raise InvalidInput(
-            "parameters.table_bend",
-            found="no body on four or more support points",
-            expected="a body on four or more support points, or with uniform pressure",
-            hint="the loads of three points are the same on every table",
-        )
+        found = "no body on four or more support points"
+        expected = "a body on four or more support points, or with uniform pressure"
+        hint = "the loads of three points are the same on every table"
+        raise InvalidInput("parameters.table_bend", found=found, expected=expected, hint=hint)
     n = next(len(values[name]) for name in load_profile.TABLE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
     away = elements.point + body.com - body.shape.centroid
@@ -363,11 +350,9 @@ def _at_radius(elements: Elements, radius: FloatArray) -> Elements:
 
 def _of_ellipsoid(elements: Elements, values: Values) -> Elements:
     if not np.any(elements.kind == codes.ELLIPSOID):
-        raise InvalidInput(
-            "parameters.ellipsoid_force",
-            found="no body on an ellipsoidal limit surface",
-            expected="an ellipsoid, whose axes are changed",
-        )
+        found = "no body on an ellipsoidal limit surface"
+        expected = "an ellipsoid, whose axes are changed"
+        raise InvalidInput("parameters.ellipsoid_force", found=found, expected=expected)
     n = next(len(v) for name, v in values.items() if name.startswith("ellipsoid_"))
     curved = elements.kind == codes.ELLIPSOID
     force = _own(elements.load, n, 1)

@@ -211,12 +211,10 @@ def stop_actuators(port: str | None) -> list[str]:
     """
     ports = [port] if port else [program.port for program in running()]
     if not ports:
-        raise InvalidInput(
-            "--port",
-            found="no program of yours that moves a drive",
-            expected="such a program, or the port of the drive",
-            hint="if a drive moves, switch off its power",
-        )
+        found = "no program of yours that moves a drive"
+        expected = "such a program, or the port of the drive"
+        hint = "if a drive moves, switch off its power"
+        raise InvalidInput("--port", found=found, expected=expected, hint=hint)
     stopped, failed = [], []
     # A drive that cannot be stopped must not prevent stopping the others.
     for one in ports:

@@ -299,11 +299,9 @@ class AbstractActuator(abc.ABC):
         target = finite(to, "to", "m") if by is None else self.position() + finite(by, "by", "m")
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:
-            raise InvalidInput(
-                "to" if by is None else "by",
-                found=f"a move to {1e3 * target:.2f} mm",
-                expected=f"a position from {1e3 * low:.4g} to {1e3 * high:.4g} mm",
-            )
+            found = f"a move to {1e3 * target:.2f} mm"
+            expected = f"a position from {1e3 * low:.4g} to {1e3 * high:.4g} mm"
+            raise InvalidInput("to" if by is None else "by", found=found, expected=expected)
         return min(max(target, low), high)
 
     def __enter__(self) -> Self:

@@ -301,11 +301,8 @@ class GrblActuator(motion.AbstractActuator):
         slowest = min(moved, key=lambda one: one[0].acceleration / one[1])
         acceleration = slowest[0].acceleration / slowest[1]
         if speed > fastest * (1.0 + 1e-6):
-            raise InvalidInput(
-                "speed",
-                found=f"{speed:.4g} mm/s",
-                expected=f"at most {fastest:.4g} mm/s, the controller's limit",
-            )
+            expected = f"at most {fastest:.4g} mm/s, the controller's limit"
+            raise InvalidInput("speed", found=f"{speed:.4g} mm/s", expected=expected)
         piece = 1.0 / CHUNKS
         needed = (0.5 * speed / acceleration + 2.0 * ASKING) / (1.0 - 1.5 * piece)
         queue = max(DEAD_MAN, needed) if self.dead_man is None else self.dead_man

@@ -179,12 +179,9 @@ def _check_present(device: int | str) -> None:
     if not os.path.exists(path):
         raise InvalidInput(path, found="no such device", expected="a camera", hint=_hint())
     if not os.access(path, os.R_OK | os.W_OK):
-        raise InvalidInput(
-            path,
-            found="no permission",
-            expected="a camera with read permission",
-            hint="sudo usermod --append --groups video $USER, then log in again",
-        )
+        found = "no permission"
+        hint = "sudo usermod --append --groups video $USER, then log in again"
+        raise InvalidInput(path, found=found, expected="a camera with read permission", hint=hint)
 
 
 def _hint() -> str:

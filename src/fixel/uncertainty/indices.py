@@ -239,12 +239,8 @@ def _ranged(name: str, interval: tuple[float, float]) -> Factor:
     low, high = vector(interval, where, "low, high").tolist()
     check_bounds(low, high, where, info)
     if name in START:
-        raise InvalidInput(
-            where,
-            found="an error of the start",
-            expected="a parameter",
-            hint="it is already in the start error",
-        )
+        hint = "it is already in the start error"
+        raise InvalidInput(where, found="an error of the start", expected="a parameter", hint=hint)
     return Factor(name, low, high)
 
 

@@ -269,12 +269,10 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
         target = comparer.targets[member]
         rows += second_differences(target.case.times, own[: len(target.pose)]) if ok else []
     if not rows:
-        raise InvalidInput(
-            "noise",
-            found="no experiment of three frames at even times that could be simulated",
-            expected="an experiment from which the camera noise can be estimated",
-            hint="state the noise: noise=...",
-        )
+        found = "no experiment of three frames at even times that could be simulated"
+        expected = "an experiment from which the camera noise can be estimated"
+        hint = "state the noise: noise=..."
+        raise InvalidInput("noise", found=found, expected=expected, hint=hint)
     table = np.concatenate(rows)
     sd = _SD_OF_MEDIAN * np.median(np.abs(table), axis=0) / math.sqrt(6.0)
     position, freedom = float(np.sqrt(np.mean(sd[:2] ** 2))), float(max(1, table.size // 3))

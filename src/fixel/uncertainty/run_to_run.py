@@ -165,12 +165,10 @@ class RunToRun:
 
         k = len(effects.residual)
         if k < MIN_EXPERIMENTS:
-            raise InvalidInput(
-                "experiments",
-                found=f"{k} that could be simulated",
-                expected=f"at least {MIN_EXPERIMENTS}",
-                hint="RunToRun() is the scatter of public real pushes",
-            )
+            found = f"{k} that could be simulated"
+            expected = f"at least {MIN_EXPERIMENTS}"
+            hint = "RunToRun() is the scatter of public real pushes"
+            raise InvalidInput("experiments", found=found, expected=expected, hint=hint)
         left = 1.0 - fitted / (3.0 * k)
         if not left > 0.0:
             raise InvalidInput(

@@ -75,11 +75,8 @@ def simulate_starts(
     # Relative to the nominal motion, angles are small, also for a body that turns by full turns.
     pose[:, :, 2] = still[:, 2] + wrapped(pose[:, :, 2] - still[:, 2])
     if not ended[-1]:
-        raise InvalidInput(
-            "scene",
-            found=f"no end pose without start error: {reasons[-1]}",
-            expected="a push that can be simulated",
-        )
+        found = f"no end pose without start error: {reasons[-1]}"
+        raise InvalidInput("scene", found=found, expected="a push that can be simulated")
     offset = np.column_stack([columns[name][:-1] for name in START])
     return Prediction(
         scene=scene,

@@ -270,12 +270,10 @@ def _refuse_parallel(views: Sequence[BoardView], size: tuple[int, int]) -> None:
     between = np.array(normals) @ np.array(normals).T
     most = float(np.degrees(np.arccos(np.clip(between.min(), -1.0, 1.0))))
     if most < MIN_TILT:
-        raise InvalidInput(
-            "pictures",
-            found=f"boards within {most:.1f} degrees of parallel",
-            expected=f"boards tilted against each other by more than {MIN_TILT:g} degrees",
-            hint="tilt the board by 20 to 40 degrees to the left, right, top and bottom",
-        )
+        found = f"boards within {most:.1f} degrees of parallel"
+        expected = f"boards tilted against each other by more than {MIN_TILT:g} degrees"
+        hint = "tilt the board by 20 to 40 degrees to the left, right, top and bottom"
+        raise InvalidInput("pictures", found=found, expected=expected, hint=hint)
 
 
 def _fitted(
@@ -298,11 +296,9 @@ def _fitted(
             solid, pixels, size, None, None, flags=flags
         )
     except cv2.error as problem:
-        raise InvalidInput(
-            "pictures",
-            found=f"boards that no lens fits ({problem.err})",
-            expected="pictures of the board given with --board",
-        ) from None
+        found = f"boards that no lens fits ({problem.err})"
+        expected = "pictures of the board given with --board"
+        raise InvalidInput("pictures", found=found, expected=expected) from None
     finally:
         cv2.setNumThreads(threads)
     k1, k2 = distortion.ravel()[:2]

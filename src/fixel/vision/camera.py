@@ -57,12 +57,10 @@ class Camera(fields.Comparable):
                 "camera.rotation", found=rotation.tolist(), expected="a 3 x 3 rotation matrix"
             )
         if np.linalg.det(rotation) < 0.0:
-            raise InvalidInput(
-                "camera.rotation",
-                found="a mirrored frame",
-                expected="a rotation matrix of determinant 1",
-                hint="the picture may be mirrored, or the y axis of the board reversed",
-            )
+            found = "a mirrored frame"
+            expected = "a rotation matrix of determinant 1"
+            hint = "the picture may be mirrored, or the y axis of the board reversed"
+            raise InvalidInput("camera.rotation", found=found, expected=expected, hint=hint)
         fields.check_fields(self, "camera")
         fields.settle(self, rotation=rotation)
         if self.position[2] <= 0.0:
@@ -134,11 +132,8 @@ class Camera(fields.Comparable):
         model, or a height that is not below the camera.
         """
         if not height < self.position[2]:
-            raise InvalidInput(
-                "height",
-                found=f"{1e3 * height:.1f} mm",
-                expected=f"a height below the camera, at {1e3 * self.position[2]:.1f} mm",
-            )
+            expected = f"a height below the camera, at {1e3 * self.position[2]:.1f} mm"
+            raise InvalidInput("height", found=f"{1e3 * height:.1f} mm", expected=expected)
         back = np.linalg.inv(self.homography(height))
         there = self.lens.direction(pixels) @ back[:, :2].T + back[:, 2]
         # The third number is one over the depth.
@@ -232,12 +227,9 @@ class MeasuredCamera(fields.Comparable):
     def placed(self) -> Camera:
         """Return the camera at its place; raise if it was not placed."""
         if self.camera is None:
-            raise InvalidInput(
-                "camera.place",
-                found=None,
-                expected="the pose of the camera above the plate",
-                hint="run: fixel camera place CAMERA PICTURE",
-            )
+            expected = "the pose of the camera above the plate"
+            hint = "run: fixel camera place CAMERA PICTURE"
+            raise InvalidInput("camera.place", found=None, expected=expected, hint=hint)
         return self.camera
 
     def for_pictures_of(self, size: tuple[int, int], *, rescale: bool = False) -> MeasuredCamera:

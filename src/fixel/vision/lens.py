@@ -105,12 +105,10 @@ class Lens(Comparable):
         lost = ~np.isfinite(xy).all(axis=-1)
         if lost.any():
             u, v = np.atleast_2d(self._pixels_of(wanted)[lost])[0]
-            raise InvalidInput(
-                "pixel",
-                found=f"({u:.0f}, {v:.0f}) px, {int(lost.sum())} in all",
-                expected="a point in the range of the lens model",
-                hint="calibrate the lens with boards near the corners of the picture too",
-            )
+            found = f"({u:.0f}, {v:.0f}) px, {int(lost.sum())} in all"
+            expected = "a point in the range of the lens model"
+            hint = "calibrate the lens with boards near the corners of the picture too"
+            raise InvalidInput("pixel", found=found, expected=expected, hint=hint)
         return xy
 
     def pixel(self, direction: ArrayLike) -> FloatArray:
@@ -253,9 +251,6 @@ class Lens(Comparable):
 def _coefficients(values: ArrayLike, count: int) -> FloatArray:
     given = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if given.ndim != 1 or not np.isfinite(given).all() or given[count:].any():
-        raise InvalidInput(
-            "lens.distortion",
-            found=f"{given.tolist()}",
-            expected=f"at most {count} finite numbers of this model",
-        )
+        expected = f"at most {count} finite numbers of this model"
+        raise InvalidInput("lens.distortion", found=f"{given.tolist()}", expected=expected)
     return frozen(np.pad(given[:count], (0, count - len(given[:count]))))

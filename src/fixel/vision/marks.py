@@ -203,11 +203,9 @@ def _refuse_twins(rig: Rig) -> None:
     for name, mark in [*everywhere, *(("the plate", tag) for tag in rig.plate)]:
         what = f"{mark.family} tag {mark.id}" if isinstance(mark, Tag) else f"{mark.colour} sticker"
         if what in seen:
-            raise InvalidInput(
-                "rig.parts",
-                found=f"the {what} on {seen[what]} and on {name}",
-                expected="each marker once, so that they can be distinguished",
-            )
+            found = f"the {what} on {seen[what]} and on {name}"
+            expected = "each marker once, so that they can be distinguished"
+            raise InvalidInput("rig.parts", found=found, expected=expected)
         seen[what] = name
 
 
@@ -248,11 +246,9 @@ class Board:
             return
         settle(self, marker=positive(self.marker, "board.marker", "m"))
         if not self.marker < self.square:
-            raise InvalidInput(
-                "board.marker",
-                found=f"tags of {1e3 * self.marker:g} mm in squares of {1e3 * self.square:g} mm",
-                expected="tags smaller than the squares",
-            )
+            found = f"tags of {1e3 * self.marker:g} mm in squares of {1e3 * self.square:g} mm"
+            expected = "tags smaller than the squares"
+            raise InvalidInput("board.marker", found=found, expected=expected)
         check_name("board.dictionary", self.dictionary, DICTIONARIES)
         if self.columns * self.rows // 2 > DICTIONARIES[self.dictionary]:
             raise InvalidInput(
@@ -292,12 +288,10 @@ class Board:
         inner = (self.columns - 1) * (self.rows - 1)
         others = self._other_dictionaries(gray) if self.marker else ""
         if others:
-            raise InvalidInput(
-                "picture",
-                found=f"a board with tags of {others}",
-                expected=f"tags of {self.dictionary}, as in the name of the board",
-                hint=f"add :{others} to the board, as in charuco:7x5:30mm:22mm:{others}",
-            )
+            found = f"a board with tags of {others}"
+            expected = f"tags of {self.dictionary}, as in the name of the board"
+            hint = f"add :{others} to the board, as in charuco:7x5:30mm:22mm:{others}"
+            raise InvalidInput("picture", found=found, expected=expected, hint=hint)
         raise InvalidInput(
             "picture",
             found=f"{count} of {inner} corners" if count else "no such board",

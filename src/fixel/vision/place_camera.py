@@ -178,9 +178,7 @@ def _refuse_misfit(misfit: FloatArray, rms: float, names: Sequence[str]) -> None
     off = np.hypot(*misfit.T)
     worst = int(np.argmax(off))
     if off[worst] > WRONG or rms > WORST_PIXELS:
-        raise InvalidInput(
-            "picture",
-            found=f"{names[worst]} {1e3 * off[worst]:.1f} mm from its nominal position",
-            expected=f"points within {1e3 * WRONG:g} mm of their nominal positions",
-            hint="check the board or rig that you named, the lens file, and that the board is flat",
-        )
+        found = f"{names[worst]} {1e3 * off[worst]:.1f} mm from its nominal position"
+        expected = f"points within {1e3 * WRONG:g} mm of their nominal positions"
+        hint = "check the board or rig that you named, the lens file, and that the board is flat"
+        raise InvalidInput("picture", found=found, expected=expected, hint=hint)

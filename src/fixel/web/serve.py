@@ -171,10 +171,8 @@ def _listening(host: str, port: int | None) -> socket.socket:
         listening.bind((host, port or 0))
     except OSError as problem:
         listening.close()
-        raise InvalidInput(
-            "--port",
-            found=f"{port} of {host} in use ({os_reason(problem)})",
-            expected="a free port from 1024 to 65535",
-            hint="without --port, any free port is used",
-        ) from None
+        found = f"{port} of {host} in use ({os_reason(problem)})"
+        expected = "a free port from 1024 to 65535"
+        hint = "without --port, any free port is used"
+        raise InvalidInput("--port", found=found, expected=expected, hint=hint) from None
     return listening

@@ -200,12 +200,9 @@ def _parameters(
         tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
         return (push, values, nominal, tau)
     if not uncertain:
-        raise InvalidInput(
-            "start",
-            found="no start error, no posterior and no model error",
-            expected="at least one uncertain input",
-            hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=, kind=)",
-        )
+        found = "no start error, no posterior and no model error"
+        hint = "simulate() computes the one end; or give start=StartError(x=, y=, theta=, kind=)"
+        raise InvalidInput("start", found=found, expected="at least one uncertain input", hint=hint)
     push = push_of(scene, model, motion)
     return (push, push.values, push.values, None)
 

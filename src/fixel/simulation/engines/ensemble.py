@@ -136,12 +136,10 @@ class EngineEnsemble:
         except ProgramFailed as failure:
             raise silent(wanted.name, failure) from None
         if wanted.version and info.version != wanted.version:
-            raise InvalidInput(
-                f"engine {wanted.name}",
-                found=f"version {info.version}",
-                expected=f"version {wanted.version}",
-                hint=f"install that version, or choose {wanted._replace(version='')}",
-            )
+            found = f"version {info.version}"
+            expected = f"version {wanted.version}"
+            hint = f"install that version, or choose {wanted._replace(version='')}"
+            raise InvalidInput(f"engine {wanted.name}", found=found, expected=expected, hint=hint)
         return info
 
     def _split(

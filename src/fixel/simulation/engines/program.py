@@ -113,11 +113,9 @@ class Program:
             self._info = _info(program, self._exchange({"hello": PROTOCOL}, START_LIMIT))
         except OSError as problem:
             self.close()
-            raise InvalidInput(
-                "engine",
-                found=f"{self.command[0]}, which cannot be started: {problem.strerror}",
-                expected="a program that can be run",
-            ) from None
+            found = f"{self.command[0]}, which cannot be started: {problem.strerror}"
+            expected = "a program that can be run"
+            raise InvalidInput("engine", found=found, expected=expected) from None
         except BaseException:  # or the next question would go to a program that gave no name
             self.close()
             raise
@@ -204,11 +202,9 @@ def _info(command: str, answer: Mapping[str, Any]) -> EngineInfo:
             for name, own in dict(answer.get("parameters", {})).items()
         }
     except (AttributeError, TypeError, ValueError, RecursionError):
-        raise InvalidInput(
-            f"engine {command}",
-            found=f"parameters {reprlib.repr(answer.get('parameters'))}",
-            expected='an object such as {"grip": {"unit": "-", "meaning": "...", "lowest": 0}}',
-        ) from None
+        found = f"parameters {reprlib.repr(answer.get('parameters'))}"
+        expected = 'an object such as {"grip": {"unit": "-", "meaning": "...", "lowest": 0}}'
+        raise InvalidInput(f"engine {command}", found=found, expected=expected) from None
     name = text_of(answer.get("name", Path(command).stem))
     return EngineInfo(name, text_of(answer.get("version", "")), parameters)
 

@@ -241,11 +241,8 @@ class PartTrack(Comparable):
     def trajectory(self) -> Trajectory:
         """Trajectory of the good poses; `InvalidInput` if there are none."""
         if not self.good.any():
-            raise InvalidInput(
-                self.name,
-                found="no pose in any frame",
-                expected="a part that is visible in the film",
-            )
+            expected = "a part that is visible in the film"
+            raise InvalidInput(self.name, found="no pose in any frame", expected=expected)
         return Trajectory(time=self.time[self.good], pose=self.pose[self.good])
 
     @property

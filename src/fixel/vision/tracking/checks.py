@@ -160,12 +160,10 @@ def check_camera_place(rig: Rig, frame: Frame) -> bool:
     limits = {tag.id: moved_limit(rig, tag, MOVED * pixel) / pixel for tag in rig.plate}
     off = {id_: straight for id_, (straight, _) in offsets.items()}
     if max(turned for _, turned in offsets.values()) < FOUND < max(off.values()):
-        raise InvalidInput(
-            "video",
-            found="a picture turned by 180 degrees",
-            expected=f"the picture in the orientation of rig {rig.name!r}",
-            hint="turn off rotation in the settings of the camera, or calibrate the plate again",
-        )
+        found = "a picture turned by 180 degrees"
+        expected = f"the picture in the orientation of rig {rig.name!r}"
+        hint = "turn off rotation in the settings of the camera, or calibrate the plate again"
+        raise InvalidInput("video", found=found, expected=expected, hint=hint)
     worst = max(off, key=lambda id_: off[id_] / limits[id_])
     if off[worst] > limits[worst]:
         raise InvalidInput(

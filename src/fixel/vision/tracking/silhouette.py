@@ -70,11 +70,9 @@ class Silhouette(AbstractTracking):
         """Create a follower; see `AbstractTracking.follow`."""
         names = self.parts(rig, things)
         if len(names) > 2:
-            raise InvalidInput(
-                f"rig {rig.name!r}",
-                found=f"{len(names)} parts without markers",
-                expected="a part and a probe, since more outlines cannot be distinguished",
-            )
+            found = f"{len(names)} parts without markers"
+            expected = "a part and a probe, since more outlines cannot be distinguished"
+            raise InvalidInput(f"rig {rig.name!r}", found=found, expected=expected)
         part, *probe = names
         return _OutlineFollower(rig, part, things[part], {name: things[name] for name in probe})
 

@@ -227,11 +227,9 @@ class LiveComparison:
     def _record(self, experiment_id: int, simulation: int) -> SimulationRecord:
         record = self._store.simulation(simulation)
         if record.experiment_id != experiment_id:
-            raise InvalidInput(
-                "simulation",
-                found=f"{simulation}, which is one of experiment {record.experiment_id}",
-                expected=f"a simulation of experiment {experiment_id}",
-            )
+            found = f"{simulation}, which is one of experiment {record.experiment_id}"
+            expected = f"a simulation of experiment {experiment_id}"
+            raise InvalidInput("simulation", found=found, expected=expected)
         return record
 
     def keep(
@@ -280,12 +278,9 @@ def warm_up() -> None:
 def _shown(motion: str) -> str:
     """Return a motion model or an engine that a page may ask for; no program of this machine."""
     if EngineName.of(motion).is_program:
-        raise InvalidInput(
-            "motion",
-            found=motion,
-            expected="a motion model, or an engine by its name",
-            hint="pages start no programs: use fixel compare --engine",
-        )
+        expected = "a motion model, or an engine by its name"
+        hint = "pages start no programs: use fixel compare --engine"
+        raise InvalidInput("motion", found=motion, expected=expected, hint=hint)
     return motion
 
 

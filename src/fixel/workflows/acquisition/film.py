@@ -92,11 +92,8 @@ def _looks(name: str, rig: Rig) -> render.CameraEffects:
         return render.looks_named("microscope" if small else "thesis")
     looks = render.looks_named(name)
     if (looks.lighting == "through") != small:
-        raise InvalidInput(
-            "looks",
-            found=f"{name!r} with the rig {rig.name}",
-            expected="looks microscope or microscope-clean for a microscope, others for a bench",
-        )
+        expected = "looks microscope or microscope-clean for a microscope, others for a bench"
+        raise InvalidInput("looks", found=f"{name!r} with the rig {rig.name}", expected=expected)
     return looks
 
 
@@ -276,12 +273,9 @@ def film_scenes(
     performs plans.
     """
     if not sources:
-        raise InvalidInput(
-            "film",
-            found="nothing to film",
-            expected="a scene file, a plan file, or experiments of a project",
-            hint="fixel testbed film scene.yaml, or: fixel testbed film EXPERIMENT --project DIR",
-        )
+        expected = "a scene file, a plan file, or experiments of a project"
+        hint = "fixel testbed film scene.yaml, or: fixel testbed film EXPERIMENT --project DIR"
+        raise InvalidInput("film", found="nothing to film", expected=expected, hint=hint)
     makers = [make for source in sources for make in _makers(source, project, seed, limit)]
     return len(makers), (make() for make in makers)
 

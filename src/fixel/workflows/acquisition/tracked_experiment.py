@@ -188,11 +188,9 @@ def _check_start(name: str, trajectory: model.Trajectory, begins: float) -> None
     first = float(trajectory.time[0])
     early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]
     if first > begins and np.hypot(*early.T).max() > REST_DISTANCE:
-        raise InvalidInput(
-            name,
-            found=f"it first visible at {first:.2f} s, when it already moved",
-            expected="its start in the film, where a simulation begins",
-        )
+        found = f"it first visible at {first:.2f} s, when it already moved"
+        expected = "its start in the film, where a simulation begins"
+        raise InvalidInput(name, found=found, expected=expected)
 
 
 def _start(trajectory: model.Trajectory, begins: float) -> FloatArray:

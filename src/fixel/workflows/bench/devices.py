@@ -263,12 +263,9 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
     `DeviceFailed` if one does not answer as it should.
     """
     if not settings["rig"]:
-        raise InvalidInput(
-            "rig",
-            found="none",
-            expected="the rig with camera and markers",
-            hint="give --rig FILE, or write it once into fixel.yaml: bench: {rig: FILE}",
-        )
+        expected = "the rig with camera and markers"
+        hint = "give --rig FILE, or write it once into fixel.yaml: bench: {rig: FILE}"
+        raise InvalidInput("rig", found="none", expected=expected, hint=hint)
     rig = rig_of(settings["rig"])
     size = rig.camera.lens.image_size
     with ExitStack() as stack:
@@ -290,12 +287,9 @@ def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
     if drive.n_axes == 1:
         return None
     if not text:
-        raise InvalidInput(
-            "drive_pose",
-            found="none",
-            expected="the pose of the drive's coordinates in the world, for several axes",
-            hint="--drive-pose X,Y,ANGLE in mm and degrees",
-        )
+        expected = "the pose of the drive's coordinates in the world, for several axes"
+        hint = "--drive-pose X,Y,ANGLE in mm and degrees"
+        raise InvalidInput("drive_pose", found="none", expected=expected, hint=hint)
     return pose_of(text, "drive_pose")
 
 

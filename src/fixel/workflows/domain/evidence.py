@@ -150,12 +150,10 @@ def own_best(
             best[k] = np.fmin(best[k], record.members[0].error_mm2)
             notes[k] = ""
     if np.isnan(best).all():
-        raise InvalidInput(
-            "relative",
-            found=f"no experiment with its own smallest error ({reasons_text(notes)})",
-            expected="experiments that were calibrated in mode each with the same model",
-            hint="calibrate them first: fixel calibrate --mode each",
-        )
+        found = f"no experiment with its own smallest error ({reasons_text(notes)})"
+        expected = "experiments that were calibrated in mode each with the same model"
+        hint = "calibrate them first: fixel calibrate --mode each"
+        raise InvalidInput("relative", found=found, expected=expected, hint=hint)
     return best, notes
 
 

@@ -162,12 +162,10 @@ def _claim(asked: Any, gathered: DomainEvidence, errors: HeldOutErrors) -> Claim
     claim = claim_of(asked, 1.0 if given else default_threshold(errors))
     floor = gathered.found["floor_mm"]
     if claim.measure == "absolute" and floor is not None and claim.threshold < floor:
-        raise InvalidInput(
-            LIMITS[0],
-            found=f"{claim.threshold:.3g} mm, below the error that measurement noise alone causes",
-            expected=f"at least {floor:.3g} mm ({gathered.found['floor_from']})",
-            hint="no simulator can be more accurate than the measurement",
-        )
+        found = f"{claim.threshold:.3g} mm, below the error that measurement noise alone causes"
+        expected = f"at least {floor:.3g} mm ({gathered.found['floor_from']})"
+        hint = "no simulator can be more accurate than the measurement"
+        raise InvalidInput(LIMITS[0], found=found, expected=expected, hint=hint)
     return claim
 
 

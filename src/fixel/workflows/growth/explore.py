@@ -403,12 +403,9 @@ def _refuse(
     for method, best in sorted(by_method.items(), key=lambda entry: -len(entry[1])):
         first = samples.keys[min(best)]
         parts.append(f"{len(best)} of {n} experiments, such as {first}, under {method}")
-    raise InvalidInput(
-        "calibrations",
-        found="; ".join(parts),
-        expected="the same motion model, error, unit and parameters for all",
-        hint=f"calibrate all in one way: {command}",
-    )
+    expected = "the same motion model, error, unit and parameters for all"
+    hint = f"calibrate all in one way: {command}"
+    raise InvalidInput("calibrations", found="; ".join(parts), expected=expected, hint=hint)
 
 
 def _joint(

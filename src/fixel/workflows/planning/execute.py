@@ -256,12 +256,10 @@ def check_start(plan: PushPlan, seen: FloatArray) -> None:
     off = pose_difference(seen, plan.start[0])
     if (np.abs(off) > allowed).any():
         (x, y, angle), (a, b, c) = np.array([off, allowed]) * (1e3, 1e3, math.degrees(1.0))
-        raise InvalidInput(
-            "seen start",
-            found=f"{x:+.2f}, {y:+.2f} mm and {angle:+.2f} deg from the planned one",
-            expected=f"at most {a:.2f}, {b:.2f} mm and {c:.2f} deg",
-            hint="place the part again, or plan from where it is: fixel plan next",
-        )
+        found = f"{x:+.2f}, {y:+.2f} mm and {angle:+.2f} deg from the planned one"
+        expected = f"at most {a:.2f}, {b:.2f} mm and {c:.2f} deg"
+        hint = "place the part again, or plan from where it is: fixel plan next"
+        raise InvalidInput("seen start", found=found, expected=expected, hint=hint)
 
 
 def _check_pushes(plan: PushPlan) -> None:

@@ -150,12 +150,10 @@ def report(
         )
         data = html.encode()
         if len(data) > MAX_PAGE_BYTES:
-            raise InvalidInput(
-                str(page),
-                found=f"{len(data) / 1e6:.1f} MB",
-                expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
-                hint="report fewer analyses: remove some from the folder analyses of the project",
-            )
+            found = f"{len(data) / 1e6:.1f} MB"
+            expected = f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB"
+            hint = "report fewer analyses: remove some from the folder analyses of the project"
+            raise InvalidInput(str(page), found=found, expected=expected, hint=hint)
         write_whole(folder / BIBLIOGRAPHY, bibtex(cited))
         write_whole(page, data)
     shown = [figure for section in content.sections for figure in section.figures]

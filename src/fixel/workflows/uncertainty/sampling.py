@@ -198,10 +198,8 @@ def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera:
         return repeated
     series = comparer.residuals_at(own, point)
     if not series:
-        raise InvalidInput(
-            "noise",
-            found="no experiment that could be simulated",
-            expected="an experiment from which the noise can be estimated",
-            hint="state the noise: noise=...",
-        )
+        found = "no experiment that could be simulated"
+        expected = "an experiment from which the noise can be estimated"
+        hint = "state the noise: noise=..."
+        raise InvalidInput("noise", found=found, expected=expected, hint=hint)
     return noise_from_residuals(series, len(point))
