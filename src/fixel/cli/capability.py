@@ -121,6 +121,13 @@ def command(
     return typer_command(capability, perform)
 
 
+def subcommand(
+    group: typer.Typer, name: str
+) -> Callable[[Callable[..., screen.CommandAnswer | None]], Callable[..., None]]:
+    """Return the decorator that makes a function a command of a group."""
+    return lambda function: group.command(name)(command(function))
+
+
 def _keyword(name: str, hint: Any, default: Any) -> Parameter:
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.capability.options import Door
-from fixel.cli.capability import command
+from fixel.cli.capability import subcommand
 from fixel.cli.screen import CommandAnswer, ProjectPlace, command_of, paragraphs, project_at
 from fixel.errors import counted
 from fixel.table import Table, shortened
@@ -20,8 +20,7 @@ MAX_TROUBLES = 20
 app = typer.Typer(help="Upgrade, back up or check the database of a project.", no_args_is_help=True)
 
 
-@app.command("upgrade")
-@command
+@subcommand(app, "upgrade")
 def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     """Upgrade the tables to the schema of this version.
 
@@ -40,8 +39,7 @@ def upgrade(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     return CommandAnswer(versions._asdict(), lines)
 
 
-@app.command("backup")
-@command
+@subcommand(app, "backup")
 def backup(
     project: Path,
     file: Annotated[Path, Door(meaning="Backup file to write.")],
@@ -59,8 +57,7 @@ def backup(
     return CommandAnswer(done._asdict(), lines)
 
 
-@app.command("check")
-@command
+@subcommand(app, "check")
 def check(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     """Read everything that is stored and report errors.
 
@@ -72,8 +69,7 @@ def check(project: Path, place: ProjectPlace = None) -> CommandAnswer:
     return CommandAnswer(found.summary(), paragraphs(*blocks), code=1 if found.troubles else 0)
 
 
-@app.command("diagram")
-@command
+@subcommand(app, "diagram")
 def diagram(
     file: Annotated[Path, Door(meaning="Chart to write: .png, .svg or .pdf.")],
 ) -> CommandAnswer:

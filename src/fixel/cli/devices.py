@@ -13,7 +13,7 @@ import typer
 
 from fixel.capability.options import Door
 from fixel.cli import screen
-from fixel.cli.capability import command
+from fixel.cli.capability import command, subcommand
 from fixel.errors import InvalidInput, number_of
 from fixel.progress import show_progress, time_text
 from fixel.table import Table
@@ -72,8 +72,7 @@ def _ports(following: str) -> Callable[..., None]:
 tactile.command("ports")(_ports("tactile check"))
 
 
-@tactile.command("check")
-@command
+@subcommand(tactile, "check")
 def check(
     *,
     port: BoardPort = None,
@@ -123,8 +122,7 @@ def _check_lines(found: "TactileCheck") -> list[str]:
     return [*lines, "", f"Next: fixel tactile watch --port {found.port}"]
 
 
-@tactile.command("watch")
-@command
+@subcommand(tactile, "watch")
 def watch(
     *,
     port: BoardPort = None,
@@ -197,8 +195,7 @@ actuator = typer.Typer(help="Home, move and stop the drive of the pusher.", no_a
 actuator.command("ports")(_ports("actuator where"))
 
 
-@actuator.command("home")
-@command
+@subcommand(actuator, "home")
 def home(
     *, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X"
 ) -> screen.CommandAnswer:
@@ -209,8 +206,7 @@ def home(
     return _position(commanded(drive, drive.home), port, axes)
 
 
-@actuator.command("move")
-@command
+@subcommand(actuator, "move")
 def move(
     *,
     port: DrivePort = None,
@@ -283,8 +279,7 @@ def stop(
     screen.print_answer(as_json, lambda: {"stopped": stopped}, lambda: lines)
 
 
-@actuator.command("where")
-@command
+@subcommand(actuator, "where")
 def where(
     *, port: DrivePort = None, driver: Driver = "grbl", axes: Axes = "X"
 ) -> screen.CommandAnswer:

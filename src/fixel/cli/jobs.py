@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fixel.capability.options import MAX_WORKERS, Door
-from fixel.cli.capability import command
+from fixel.cli.capability import command, subcommand
 from fixel.cli.screen import CommandAnswer, command_of, job_bar, notify, one_place
 from fixel.errors import Interrupted, InvalidInput, plain
 from fixel.progress import time_text
@@ -78,8 +78,7 @@ app.command("submit")(submit)
 app.command("resume", help=RESUME)(submit)
 
 
-@app.command("status")
-@command
+@subcommand(app, "status")
 def status(
     project: Path,
     folders: Annotated[tuple[Path, ...], Door(metavar="FOLDER", usual="the current folder")] = (),
@@ -102,8 +101,7 @@ def status(
     return CommandAnswer({"jobs": [job.summary() for job in found]}, _listed(found))
 
 
-@app.command("cancel")
-@command
+@subcommand(app, "cancel")
 def cancel(folder: JobFolder) -> CommandAnswer:
     """Stop a job and its workers; finished chunks stay stored."""
     from fixel.workflows import jobs
@@ -133,8 +131,7 @@ def site() -> None:
     typer.echo(TEMPLATE, nl=False)
 
 
-@app.command("pack")
-@command
+@subcommand(app, "pack")
 def pack(
     folder: JobFolder, file: Annotated[Path, Door(meaning="Zip file to write.")]
 ) -> CommandAnswer:
@@ -147,8 +144,7 @@ def pack(
     return CommandAnswer({"file": str(file), "bytes": size}, lines)
 
 
-@app.command("unpack")
-@command
+@subcommand(app, "unpack")
 def unpack(
     file: Annotated[Path, Door(meaning="Zip file of a packed job.")],
     folder: Annotated[Path, Door(metavar="FOLDER", meaning="New folder for the job.")],

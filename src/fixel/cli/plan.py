@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from fixel.capability.options import CalibrationId, Door, EngineName, Seed
-from fixel.cli.capability import command, typer_command
+from fixel.cli.capability import subcommand, typer_command
 from fixel.cli.screen import CommandAnswer, command_of, notify, paragraphs, require_folder, wrote
 from fixel.errors import InvalidInput
 from fixel.workflows.planning.run import ENDING, PLAN
@@ -49,8 +49,7 @@ Pose = Annotated[str | None, Door(metavar="X,Y,ANGLE")]
 app.command(FIND)(typer_command(PLAN))
 
 
-@app.command("check")
-@command
+@subcommand(app, "check")
 def check(
     project: "Project | None",
     plan: PlanPath,
@@ -98,8 +97,7 @@ def check(
     return CommandAnswer(content, paragraphs(*words, checked.sentences, wrote(files)))
 
 
-@app.command("held")
-@command
+@subcommand(app, "held")
 def held(
     project: "Project",
     *,
@@ -126,8 +124,7 @@ def held(
     return CommandAnswer(analysis_of("plan", found).texts() | found.to_dict(), [str(found)])
 
 
-@app.command("next")
-@command
+@subcommand(app, "next")
 def next_(
     project: "Project | None",
     plan: PlanPath,
@@ -171,8 +168,7 @@ def next_(
     )
 
 
-@app.command("run")
-@command
+@subcommand(app, "run")
 def run(
     project: "Project | None",
     plan: PlanPath,

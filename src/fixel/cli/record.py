@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fixel.capability.options import Door
-from fixel.cli.capability import command
+from fixel.cli.capability import command, subcommand
 from fixel.cli.screen import CommandAnswer, FilmPath, command_line, command_of, notify, wrote
 from fixel.errors import InvalidInput, counted
 from fixel.progress import show_progress
@@ -64,8 +64,7 @@ def record(
     return CommandAnswer(content, _lines(done), code=1 if done.early else 0)
 
 
-@app.command("check")
-@command
+@subcommand(app, "check")
 def check(folder: Folder) -> CommandAnswer:
     """Check every frame of a recording, and report missing ones."""
     from fixel.formats.recording import open_recording
@@ -73,8 +72,7 @@ def check(folder: Folder) -> CommandAnswer:
     return _checked(open_recording(folder))
 
 
-@app.command("repair")
-@command
+@subcommand(app, "repair")
 def repair(folder: Folder) -> CommandAnswer:
     """Remove incomplete last frames of an interrupted recording.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fixel.capability.options import Door, Seed, Threads
-from fixel.cli.capability import command, typer_command
+from fixel.cli.capability import subcommand, typer_command
 from fixel.cli.project import imported
 from fixel.cli.screen import CommandAnswer, FilmPath, command_of, print_answer, wrote
 from fixel.progress import show_progress
@@ -26,8 +26,7 @@ app = typer.Typer(
 )
 
 
-@app.command("run")
-@command
+@subcommand(app, "run")
 def run_plan(
     project: "Project",
     plan: Annotated[Path | None, Door(metavar="PLAN")] = None,
@@ -86,8 +85,7 @@ def _lines(films: "list[FilmResult]") -> list[str]:
     return lines
 
 
-@app.command("serve")
-@command
+@subcommand(app, "serve")
 def serve(
     film: FilmPath,
     *,
