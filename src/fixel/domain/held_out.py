@@ -154,12 +154,10 @@ def reasons_text(reasons: Iterable[str]) -> str:
 
 
 def _no_start(reasons: Sequence[str], of: str = "") -> InvalidInput:
-    return InvalidInput(
-        "start of the fits",
-        found=f"no simulation at it: {of}{reasons_text(reasons)}",
-        expected="parameters with which experiments can be simulated",
-        hint="start at another calibration",
-    )
+    found = f"no simulation at it: {of}{reasons_text(reasons)}"
+    expected = "parameters with which experiments can be simulated"
+    hint = "start at another calibration"
+    return InvalidInput("start of the fits", found=found, expected=expected, hint=hint)
 
 
 def _fold_answer(comparer: Comparer, train: IntArray, test: IntArray, seed: int) -> dict[str, Any]:

@@ -52,10 +52,8 @@ class FileLock:
         deadline = time.monotonic() + PATIENCE_S
         while not self._take():
             if time.monotonic() > deadline:
-                raise JobRefused(
-                    f"{what} is in use by {_owner(path)}",
-                    hint="wait until it has finished, or stop it",
-                )
+                hint = "wait until it has finished, or stop it"
+                raise JobRefused(f"{what} is in use by {_owner(path)}", hint=hint)
             time.sleep(0.02)
 
     def release(self) -> None:

@@ -236,11 +236,9 @@ def _impossible(clause: goals.Clause, scene: Scene) -> InvalidInput:
             found=f"fixels too far apart for {body.name!r}: {', '.join(clause.fixels)}",
             expected="fixels that it can touch at once",
         )
-    return InvalidInput(
-        "goal.region",
-        found=f"{clause}, where {body.name!r} does not fit",
-        expected="a region that contains the part at some angle",
-    )
+    found = f"{clause}, where {body.name!r} does not fit"
+    expected = "a region that contains the part at some angle"
+    return InvalidInput("goal.region", found=found, expected=expected)
 
 
 def _events(goal: goals.Goal) -> list[goals.Clause]:

@@ -452,12 +452,10 @@ def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
 
 
 def _refused(unseen: tuple[str, ...]) -> InvalidInput:
-    return InvalidInput(
-        "belief.parameters",
-        found=f"no experiment that resembles a push towards the goal: {'; '.join(unseen)}",
-        expected="experiments with similar pushes",
-        hint="record some (fixel next proposes them), or plan with untrusted=True",
-    )
+    found = f"no experiment that resembles a push towards the goal: {'; '.join(unseen)}"
+    expected = "experiments with similar pushes"
+    hint = "record some (fixel next proposes them), or plan with untrusted=True"
+    return InvalidInput("belief.parameters", found=found, expected=expected, hint=hint)
 
 
 def grouped(

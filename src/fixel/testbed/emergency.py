@@ -181,10 +181,8 @@ def stop_drive(port: str) -> float:
     port cannot be written to.
     """
     if sys.platform == "win32":
-        raise DeviceFailed(
-            "this system cannot write to the port of another program",
-            hint="switch off the power of the drive",
-        )
+        hint = "switch off the power of the drive"
+        raise DeviceFailed("this system cannot write to the port of another program", hint=hint)
     try:
         # Opening for writing ignores the lock of the program that uses the port.
         descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)

@@ -329,10 +329,8 @@ def _check_members(file: Path, members: list[zipfile.ZipInfo]) -> None:
 def _check_idle(folder: Path) -> None:
     owner = files.coordinator_of(folder)
     if owner is not None:
-        raise JobRefused(
-            f"{folder} is being run by {owner}",
-            hint="show it with fixel jobs status, or stop it with fixel jobs cancel",
-        )
+        hint = "show it with fixel jobs status, or stop it with fixel jobs cancel"
+        raise JobRefused(f"{folder} is being run by {owner}", hint=hint)
 
 
 def _check_settings(run: RunSettings) -> None:

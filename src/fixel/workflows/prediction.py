@@ -243,11 +243,9 @@ def _repetition(
 
 
 def _no_model_error() -> InvalidInput:
-    return InvalidInput(
-        "model_error",
-        found="True, without a posterior with model error",
-        expected="its standard deviation at the end of the motion [m]",
-    )
+    found = "True, without a posterior with model error"
+    expected = "its standard deviation at the end of the motion [m]"
+    return InvalidInput("model_error", found=found, expected=expected)
 
 
 def _drift(

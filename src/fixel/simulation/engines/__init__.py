@@ -73,11 +73,8 @@ def stated(text: str) -> str:
 
 def silent(engine: str, failure: ProgramFailed) -> InvalidInput:
     """Return the refusal of an engine that does not answer."""
-    return InvalidInput(
-        f"engine {engine}",
-        found=failure,
-        expected='an answer to {"hello": 1}, such as {"name": "mine", "version": "1"}',
-    )
+    expected = 'an answer to {"hello": 1}, such as {"name": "mine", "version": "1"}'
+    return InvalidInput(f"engine {engine}", found=failure, expected=expected)
 
 
 def _check_installed(own: EngineName) -> None:

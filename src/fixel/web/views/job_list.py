@@ -101,10 +101,8 @@ def job_slot(project: Path) -> Iterator[None]:
             path for path in jobs.job_folders(project).values() if files.coordinator_of(path)
         ]
         if len(running) >= MAX_AT_ONCE:
-            raise JobRefused(
-                f"{len(running)} jobs of this project are running",
-                hint="wait until one has finished, or cancel one on the page Jobs",
-            )
+            hint = "wait until one has finished, or cancel one on the page Jobs"
+            raise JobRefused(f"{len(running)} jobs of this project are running", hint=hint)
         yield
 
 

@@ -108,10 +108,8 @@ def _database_file(project: Project, target: Path | None = None) -> Path:
         )
     file = Path(url.database or "")
     if not file.is_file():
-        raise StoreRefused(
-            f"there is no database {file}",
-            hint=f"{RESTORE}; or create an empty one: {project.upgrade_command}",
-        )
+        hint = f"{RESTORE}; or create an empty one: {project.upgrade_command}"
+        raise StoreRefused(f"there is no database {file}", hint=hint)
     return file
 
 
