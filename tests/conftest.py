@@ -6,6 +6,7 @@ import functools
 import gc
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -95,10 +96,31 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if own is None or session.config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
         return
     files = sorted(REPOSITORY.glob("tests/**/test_*.py"))
+    files = [file for file in files if not _without_chosen(file, session.config.option.markexpr)]
     for file in files[int(own["workerid"].removeprefix("gw")) :: own["workercount"]]:
         name = ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting it reports why
             import_module(name)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file whose tests the marks all leave out, where no file is named."""
+    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return None
+    return _without_chosen(collection_path, config.option.markexpr) or None
+
+
+def _without_chosen(file: Path, chosen: str) -> bool:
+    """Whether the marks leave out every test of a file. Fixtures in its folder may mark some."""
+    if not file.name.startswith("test_"):
+        return False
+    text = file.read_text(encoding="utf-8")
+    if chosen.startswith("system and"):
+        shared = file.with_name("conftest.py")
+        texts = (text, shared.read_text(encoding="utf-8") if shared.exists() else "")
+        return not any("mark.system" in one for one in texts)
+    all_system = re.search(r"^pytestmark = (?:\[)?pytest\.mark\.system\b", text, re.MULTILINE)
+    return chosen.startswith("not system and") and all_system is not None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -8,6 +8,12 @@ from tests.cli.shell import exit_code as call
 pytestmark = pytest.mark.system
 
 
+@pytest.fixture
+def short_film(monkeypatch):
+    monkeypatch.setattr("fixel.drawing.animation.RATE", 3)
+
+
+@pytest.mark.usefixtures("short_film")
 def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
     folder = tmp_path / "demo"
     code = call("demo", "--quick", "--out", str(folder))
@@ -19,6 +25,7 @@ def test_demo_tells_what_happened_and_what_to_type_next(tmp_path, capsys):
     assert {p.suffix for p in folder.iterdir()} == {".yaml", ".png", ".mp4", ".csv"}
 
 
+@pytest.mark.usefixtures("short_film")
 def test_the_suggested_commands_work(tmp_path, capsys, monkeypatch):
     """Every line that starts with `fixel` in the answer is a command that does what it says."""
     monkeypatch.chdir(tmp_path)
