@@ -8,17 +8,27 @@ import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
 
-from fixel.engine_names import ENGINES as ENGINES, GROUP, EngineName as EngineName
+from fixel.engine_names import ENGINES, GROUP, EngineName
 from fixel.errors import InvalidInput, MissingExtra, unknown_name
-from fixel.simulation.engines.contract import (
-    AbstractPhysicsEngine as AbstractPhysicsEngine,
-    EngineInfo as EngineInfo,
-)
+from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineInfo
 from fixel.simulation.engines.program import Program, ProgramFailed
-from fixel.simulation.engines.scripts.drive import EngineFailed as EngineFailed
-from fixel.simulation.engines.serve import serve as serve
-from fixel.simulation.engines.task import PlainTask as PlainTask
+from fixel.simulation.engines.scripts.drive import EngineFailed
+from fixel.simulation.engines.serve import serve
+from fixel.simulation.engines.task import PlainTask
 from fixel.trust import SERVE, command_of
+
+__all__ = [
+    "ENGINES",
+    "AbstractPhysicsEngine",
+    "EngineFailed",
+    "EngineInfo",
+    "EngineName",
+    "PlainTask",
+    "engine_of",
+    "program_of",
+    "serve",
+    "shared_program",
+]
 
 
 def engine_of(text: str) -> AbstractPhysicsEngine:

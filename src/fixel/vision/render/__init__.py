@@ -8,13 +8,24 @@
 Motion is a `Simulation` or a trajectory for each body and pusher, on the film's clock.
 """
 
-from fixel.vision.render.film import film_scene as film_scene
+from fixel.vision.render.film import film_scene
 from fixel.vision.render.looks import (
-    LIGHTINGS as LIGHTINGS,
-    MICROSCOPE as MICROSCOPE,
-    PRESETS as PRESETS,
-    CameraEffects as CameraEffects,
-    changed as changed,
-    frame_times as frame_times,
-    looks_named as looks_named,
+    LIGHTINGS,
+    MICROSCOPE,
+    PRESETS,
+    CameraEffects,
+    changed,
+    frame_times,
+    looks_named,
 )
+
+__all__ = [
+    "LIGHTINGS",
+    "MICROSCOPE",
+    "PRESETS",
+    "CameraEffects",
+    "changed",
+    "film_scene",
+    "frame_times",
+    "looks_named",
+]

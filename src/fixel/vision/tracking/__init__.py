@@ -1,14 +1,29 @@
 """Tracking of parts in films, by tags, stickers or silhouettes."""
 
 from fixel.vision.tracking.base import (
-    AbstractFollower as AbstractFollower,
-    AbstractTracking as AbstractTracking,
-    FilmTracks as FilmTracks,
-    FoundFixel as FoundFixel,
-    PartObservation as PartObservation,
-    PartTrack as PartTrack,
+    AbstractFollower,
+    AbstractTracking,
+    FilmTracks,
+    FoundFixel,
+    PartObservation,
+    PartTrack,
 )
-from fixel.vision.tracking.follow import AUTO as AUTO, METHODS as METHODS, track as track
-from fixel.vision.tracking.silhouette import Silhouette as Silhouette
-from fixel.vision.tracking.stickers import Stickers as Stickers
-from fixel.vision.tracking.tags import Tags as Tags
+from fixel.vision.tracking.follow import AUTO, METHODS, track
+from fixel.vision.tracking.silhouette import Silhouette
+from fixel.vision.tracking.stickers import Stickers
+from fixel.vision.tracking.tags import Tags
+
+__all__ = [
+    "AUTO",
+    "METHODS",
+    "AbstractFollower",
+    "AbstractTracking",
+    "FilmTracks",
+    "FoundFixel",
+    "PartObservation",
+    "PartTrack",
+    "Silhouette",
+    "Stickers",
+    "Tags",
+    "track",
+]
