@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from fastapi import APIRouter
 from pydantic import AfterValidator, Field
@@ -20,6 +20,8 @@ router = APIRouter()
 
 
 FileText = Annotated[str, AfterValidator(storable)]
+# Experiments or notes that a request changed: to undo it, change these and no others.
+Changed = dict[Literal["changed"], list[int]]
 
 
 class MarkRequest(RequestBody):
@@ -46,12 +48,6 @@ class NoteRequest(MarkRequest):
     """A note on experiments."""
 
     text: Text = Field(min_length=1, max_length=10_000)
-
-
-class ChangedRecords(Answer):
-    """Experiments or notes that a request changed: to undo it, change these and no others."""
-
-    changed: list[int]
 
 
 class TableRequest(RequestBody):
@@ -81,40 +77,40 @@ class TableResult(Answer):
 
 
 @router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
-def flag(context: Context, wanted: FlagRequest) -> ChangedRecords:
+def flag(context: Context, wanted: FlagRequest) -> Changed:
     made = Flag(wanted.name, wanted.detail, wanted.fault)
-    return ChangedRecords(changed=context.store.flag(wanted.ids, made))
+    return {"changed": context.store.flag(wanted.ids, made)}
 
 
 @router.post("/experiments/unflag", summary="Remove a flag from experiments", tags=["marks"])
-def unflag(context: Context, wanted: UnflagRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.unflag(wanted.ids, wanted.name))
+def unflag(context: Context, wanted: UnflagRequest) -> Changed:
+    return {"changed": context.store.unflag(wanted.ids, wanted.name)}
 
 
 @router.post("/experiments/delete", summary="Delete experiments", tags=["marks"])
-def delete(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete(wanted.ids))
+def delete(context: Context, wanted: MarkRequest) -> Changed:
+    return {"changed": context.store.delete(wanted.ids)}
 
 
 @router.post("/experiments/undelete", summary="Restore deleted experiments", tags=["marks"])
-def undelete(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete(wanted.ids, back=True))
+def undelete(context: Context, wanted: MarkRequest) -> Changed:
+    return {"changed": context.store.delete(wanted.ids, back=True)}
 
 
 @router.post("/experiments/note", summary="Add a note to experiments", tags=["marks"])
-def note(context: Context, wanted: NoteRequest) -> ChangedRecords:
+def note(context: Context, wanted: NoteRequest) -> Changed:
     """`changed` are the ids of the notes."""
-    return ChangedRecords(changed=context.store.annotate(wanted.ids, wanted.text))
+    return {"changed": context.store.annotate(wanted.ids, wanted.text)}
 
 
 @router.post("/notes/delete", summary="Delete notes, by their ids", tags=["marks"])
-def delete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete_notes(wanted.ids))
+def delete_notes(context: Context, wanted: MarkRequest) -> Changed:
+    return {"changed": context.store.delete_notes(wanted.ids)}
 
 
 @router.post("/notes/undelete", summary="Restore deleted notes, by their ids", tags=["marks"])
-def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete_notes(wanted.ids, back=True))
+def undelete_notes(context: Context, wanted: MarkRequest) -> Changed:
+    return {"changed": context.store.delete_notes(wanted.ids, back=True)}
 
 
 @router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
