@@ -168,12 +168,12 @@ def bound_stored(
     with show_progress(progress, "holding out") as report, project.store() as store:
         of = ProjectRequest(project, store, asked)
         chosen = select_experiments(store, (), of.query)
-        model, calibration, _ = stored_model(of, chosen.targets)
+        started = stored_model(of, chosen.targets)
         folder = project.folder / ANALYSES / FOLDER / f"bound-{mark_of(of, chosen.ids)}"
-        fits = _fits(folder, model)
-        bound = bound_of(chosen.targets, model, asked, fits, report)
+        fits = _fits(folder, started.model)
+        bound = bound_of(chosen.targets, started.model, asked, fits, report)
         real = all(row.is_real for row in store.experiments(of.query).rows)
-    return BoundAnswer(bound, chosen.ids, calibration, dict(chosen.left_out), real)
+    return BoundAnswer(bound, chosen.ids, started.calibration, dict(chosen.left_out), real)
 
 
 def _fits(folder: str | Path | None, model: CalibrationModel) -> FinishedFits:

@@ -21,7 +21,6 @@ import fixel
 from fixel.database import schema
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
-from fixel.database.stored_content import Trouble
 from fixel.errors import JobRefused, NotStored
 from fixel.io.atomic import usable
 from fixel.io.document import plain_numbers
@@ -62,6 +61,14 @@ class SelfTest(Answer):
     seconds: float
 
 
+class TroubleText(Answer):
+    """One thing that is wrong."""
+
+    where: str
+    sentence: str
+    hint: str
+
+
 class DatabaseCheck(Answer):
     """Result of `fixel db check`."""
 
@@ -71,7 +78,7 @@ class DatabaseCheck(Answer):
     counts: dict[str, int] = Field(description="number of rows by table, including deleted ones")
     media_files: int
     unused_files: int = Field(description="number of media files that no row refers to")
-    troubles: list[Trouble]
+    troubles: list[TroubleText]
     n_trouble: int
 
 

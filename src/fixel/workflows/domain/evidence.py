@@ -93,13 +93,16 @@ class ProjectRequest(NamedTuple):
         return parse_filter(*own.where, dataset=own.dataset or None, include_faulty=own.flagged)
 
 
-def stored_model(
-    of: ProjectRequest, targets: Sequence[Target]
-) -> tuple[CalibrationModel, int | None, str]:
-    """Return the model at which fits start, with the id of its calibration and words for it.
+class FitStarts(NamedTuple):
+    """Model at which fits start, with the id of its calibration and words for it."""
 
-    It has the parameters, motion and error of a stored calibration, else the usual ones.
-    """
+    model: CalibrationModel
+    calibration: int | None
+    words: str
+
+
+def stored_model(of: ProjectRequest, targets: Sequence[Target]) -> FitStarts:
+    """Return the parameters, motion and error of a stored calibration, else the usual ones."""
     scenes, asked = [target.case.scene for target in targets], of.asked
     one = None
     if asked.calibration is not None:
@@ -116,7 +119,7 @@ def stored_model(
         motion=motion_model(stated_name(asked.engine or "dynamic")) if one is None else one.motion,
         error=MeanSquare() if one is None else one.error,
     )
-    return model, None if one is None or asked.fit else one.id, words
+    return FitStarts(model, None if one is None or asked.fit else one.id, words)
 
 
 def own_best(
@@ -261,7 +264,7 @@ def load_evidence(of: ProjectRequest, mark: str) -> DomainEvidence | None:
         errors = errors_of(content, of.asked)
     if of.asked.relative is not None:
         targets = select_experiments(of.store, errors.keys[:1], of.query).targets
-        own, notes = own_best(of.store, errors.ids, stored_model(of, targets)[0])
+        own, notes = own_best(of.store, errors.ids, stored_model(of, targets).model)
         errors = replace(errors, own_mm2=own, notes=tuple(notes))
     real = all(row.is_real for row in of.store.experiments(of.query).rows)
     return DomainEvidence(errors, content, real, mark)
@@ -298,15 +301,15 @@ def _computed(
     of: ProjectRequest, finished: Finished, report: ProgressCallback | None
 ) -> dict[str, Any]:
     chosen = select_experiments(of.store, (), of.query)
-    model, calibration, words = stored_model(of, chosen.targets)
+    started = stored_model(of, chosen.targets)
     if of.asked.relative is not None:  # raises before hours of fits if there is no own best
-        own_best(of.store, chosen.ids, model)
+        own_best(of.store, chosen.ids, started.model)
     return {
-        **evidence_of(chosen.targets, model, of.asked, finished, report),
+        **evidence_of(chosen.targets, started.model, of.asked, finished, report),
         "ids": chosen.ids,
-        "unseen": _unseen(of.store, calibration, chosen.targets),
-        "calibration": calibration,
-        "started": words,
+        "unseen": _unseen(of.store, started.calibration, chosen.targets),
+        "calibration": started.calibration,
+        "started": started.words,
         "left_out": dict(chosen.left_out),
     }
 

@@ -8,7 +8,6 @@ import re
 import shlex
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -56,7 +55,7 @@ class CheckResult(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        troubles = [asdict(trouble) for trouble in self.troubles]
+        troubles = [trouble._asdict() for trouble in self.troubles]
         return {"ok": not troubles, **self._asdict(), "troubles": troubles}
 
 
