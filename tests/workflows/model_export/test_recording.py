@@ -159,3 +159,41 @@ def test_missing_package_is_named(
     with pytest.raises(MissingExtra, match=r"pip install 'fixel\[rerun\]'"):
         fixel.export_model(simulation, tmp_path / "made", to="rerun")
     assert not (tmp_path / "made").exists()
+
+
+def test_drawn_bodies_have_the_calibrated_outline_and_radius(tmp_path: Path) -> None:
+    # Where a pusher touches the part, the drawn outlines touch as well.
+    (push,) = example_pushes(1)
+    start = {"outline_x": 5 * mm, "outline_theta": 2 * deg, "contact_offset": 1 * mm}
+    fit = fixel.calibrate([push], {"mu_pusher": (0, 1), **start}, verdicts=False, progress=False)
+    part, finger = push.scene.names[:2]
+    for what in (fit, fixel.simulate(push.scene, fit)):
+        done = fixel.export_model(what, tmp_path / type(what).__name__, to="mcap")
+        path = done.folder / "motion.mcap"
+        ((_, _, update),) = messages(path, "/scene")
+        drawn = {}
+        for thing in update["entities"]:
+            (triangles,) = thing["triangles"]
+            corners = np.array([[p["x"], p["y"]] for p in triangles["points"]])
+            *place, angle = poses(path)[thing["id"]][-1, 1:]
+            turn = np.array(((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))))
+            drawn[thing["id"]] = shapely.MultiPoint(corners @ turn + place).convex_hull
+        assert drawn[part].distance(drawn[finger]) < 0.02 * mm
+        assert drawn[part].intersection(drawn[finger]).area < 0.02 * mm * 10 * mm
+
+
+@pytest.mark.parametrize("name", ["world", "part measured"])
+def test_frames_have_names_of_their_own(tmp_path: Path, name: str) -> None:
+    (push,) = example_pushes(1)
+    assert push.scene.bodies[0].name == "part"
+    pusher = replace(push.scene.pushers[0], name=name)
+    push = replace(push, scene=replace(push.scene, pushers=(pusher,)))
+    with pytest.raises(InvalidInput, match=name):
+        fixel.export_model(push, tmp_path / "made", to="mcap")
+    assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize("to", ["mcap:step=0.001", "rerun==1.0", "urdf:step=0.001"])
+def test_only_engines_have_choices(tmp_path: Path, to: str) -> None:
+    with pytest.raises(InvalidInput, match="but must be one of mujoco"):
+        fixel.export_model(pushed_square(), tmp_path / "made", to=to)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.errors import require
-from fixel.model.shape import Shape
+from fixel.errors import InvalidInput, require
+from fixel.model.shape import Disk, Shape, placed
 from fixel.simulation import Simulation
 from fixel.simulation.simulate import simulate
 from fixel.typing import FloatArray
@@ -32,7 +33,7 @@ class BodyMotion(NamedTuple):
 
     name: str
     kind: str
-    shape: Shape
+    corners: FloatArray  # (3 m, 2) of triangles that fill its shape, in its frame [m]
     time: FloatArray  # (n,) [s]
     pose: FloatArray  # (n, 3) [m, m, rad]
 
@@ -52,11 +53,14 @@ def motion_of(source: ModelSource) -> tuple[list[BodyMotion], list[str]]:
             output_interval=INTERVAL,
         ),
     )
-    found = [*_joined(runs)]
+    found = [*_joined(runs, case.values)]
     if case.measured is not None:
-        part = case.scene.bodies[0]
-        own = BodyMotion(f"{part.name} measured", "measured", part.shape, case.times, case.measured)
-        found.append(own)
+        name = f"{found[0].name} measured"
+        found.append(BodyMotion(name, "measured", found[0].corners, case.times, case.measured))
+    for name, n in Counter(["world", *(one.name for one in found)]).items():
+        if n > 1:
+            expected = f"another name: the recording has its own frame {name!r}"
+            raise InvalidInput("name of a body", found=repr(name), expected=expected)
     lost = [
         f"motion after {run.time[-1]:g} s: {run.status}"
         for run in runs
@@ -65,29 +69,36 @@ def motion_of(source: ModelSource) -> tuple[list[BodyMotion], list[str]]:
     return found, ["masses, friction and forces", *lost]
 
 
-def _joined(runs: tuple[Simulation, ...]) -> Iterator[BodyMotion]:
-    """Yield the things of simulations, one after the other in time."""
+def _joined(runs: tuple[Simulation, ...], values: Mapping[str, float]) -> Iterator[BodyMotion]:
+    """Yield the things of simulations with these parameters, one after the other in time."""
+    outline = [values.get(f"outline_{axis}", 0.0) for axis in ("x", "y", "theta")]
     starts = np.cumsum([0.0, *(run.time[-1] for run in runs)])
     time = np.concatenate([run.time + start for run, start in zip(runs, starts, strict=False)])
     scene = runs[0].scene
     for kind, things in (("part", scene.bodies), ("pusher", scene.pushers)):
         for thing in things:
-            pose = np.vstack([run.pose[thing.name] for run in runs])
-            yield BodyMotion(thing.name, kind, thing.shape, time, pose)
+            pose, shape = np.vstack([run.pose[thing.name] for run in runs]), thing.shape
+            if kind == "pusher" and isinstance(shape, Disk):
+                shape = Disk(shape.radius + values.get("contact_offset", 0.0))
+            corners = _triangles(shape)
+            if kind == "part":
+                corners = placed(corners, outline)
+            yield BodyMotion(thing.name, kind, corners, time, pose)
     for fixel in scene.fixels:
-        yield BodyMotion(fixel.name, "fixel", fixel.shape, time[:1], np.array([fixel.pose]))
+        pose = np.array([fixel.pose])
+        yield BodyMotion(fixel.name, "fixel", _triangles(fixel.shape), time[:1], pose)
+
+
+def _triangles(shape: Shape) -> FloatArray:
+    """Return the corners (3 m, 2) of triangles that fill a shape, in its frame [m]."""
+    pieces = [corners for corners, _ in shape.pieces]
+    return np.vstack([own[[0, k, k + 1]] for own in pieces for k in range(1, len(own) - 1)])
 
 
 def _corners(body: BodyMotion) -> FloatArray:
-    """Return the corners (3 m, 3) of triangles that fill a shape, in its frame [m]."""
+    """Return the corners (3 m, 3) of the triangles of a body, in its frame [m]."""
     height = HEIGHT if body.kind == "measured" else 0.0
-    fans = [
-        corners[[0, k, k + 1]]
-        for corners, _ in body.shape.pieces
-        for k in range(1, len(corners) - 1)
-    ]
-    flat = np.vstack(fans)
-    return np.column_stack((flat, np.full(len(flat), height)))
+    return np.insert(body.corners, 2, height, axis=1)
 
 
 def write_mcap(path: Path, found: list[BodyMotion]) -> None:

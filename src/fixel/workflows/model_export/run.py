@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing.view import evenly
-from fixel.engine_names import EngineName
+from fixel.engine_names import ENGINES, EngineName
 from fixel.errors import InvalidInput, check_name
 from fixel.formats.frames_file import folder_whole, refuse_folder
 from fixel.model import Experiment, Scene, pose_error
@@ -126,7 +126,7 @@ def export_model(
     """
     instance(to, str, "to", "a name")
     target, wanted = path_of(folder, "folder"), EngineName.of(to)
-    check_name("to", wanted.name, TARGETS)
+    check_name("to", wanted.name if wanted.name in ENGINES else to, TARGETS)
     whole(scenes, "scenes", 0, 100_000)
     refuse_folder(target)
     source = source_of(what, calibration, held_out)
