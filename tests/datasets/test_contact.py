@@ -37,3 +37,19 @@ def test_a_correction_fades():
     assert corrected_path(path, offset, 2.0)[:, 2] == pytest.approx([-2.0, -1.0, 0.0, 0.0, 0.0])
     assert corrected_path(path[:1], offset)[0, 1:3].tolist() == [1.0, -2.0]
     assert not path[:, 1:].any()
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-6, 1e-9])
+def test_small_objects_are_corrected_as_large_ones(size):
+    square = Polygon(size * SQUARE.vertices)
+    tip = size * np.array([[0.5, 0.234], [0.5, 0.24], [0.5, 0.235 + 1e-17]])
+    gap, offset = moved_to_contact(square, 0.005 * size, TURNED * (size, size, 1.0), tip)
+    assert gap / size == pytest.approx([-0.001, 0.005, 0.0], abs=1e-12)
+    expected = [[0.0, 0.001], [0.0, 0.0], [0.0, 0.0]]
+    assert offset / size == pytest.approx(np.array(expected), abs=1e-7)
+
+
+def test_contact_up_to_rounding_is_no_overlap():
+    tip = np.array([[0.235 - 1e-16 * k, 0.2] for k in range(8)]) + (0.3, 0.0)
+    gap, offset = moved_to_contact(SQUARE, 0.005, TURNED, tip)
+    assert not gap.any() and not offset.any()

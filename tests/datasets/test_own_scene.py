@@ -224,3 +224,13 @@ def test_a_scene_belongs_to_a_table_and_holds_its_object(tmp_path):
     refused(CSV.read, source, scene=str(scene), object_name="crate", match="the object 'crate'")
     scene.write_text(scene.read_text().partition("pushers:")[0])
     refused(CSV.read, source, scene=str(scene), match="0 pushers")
+
+
+def test_one_row_of_poses_has_no_motion_of_a_pusher(tmp_path):
+    source = table(tmp_path)
+    scene = filled(tmp_path, source)
+    source.write_text("\n".join(source.read_text().splitlines()[:2]) + "\n")
+    of_file = {"scene": str(scene), "match": r"run\.csv.* one row of poses"}
+    refused(lambda **options: CSV.read(source, **options).experiments(), **of_file)
+    (alone,) = CSV.read(source).experiments()
+    assert len(alone.trajectory.time) == 1

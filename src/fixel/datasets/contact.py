@@ -20,8 +20,10 @@ MAX_CORRECTION: Final = 3e-3
 # Usual duration of the correction of a path that starts inside the object [s].
 FADE: Final = 0.5
 
-# Gap between the shapes after a correction, against rounding [m].
-CLEARANCE: Final = 1e-9
+# Largest overlap that is rounding, and gap after a correction against rounding [m]; of small objects
+# relative to their radius.
+ROUNDING: Final = 1e-12
+CLEARANCE: Final = 1e-9, 1e-6
 
 
 def moved_to_contact(
@@ -32,7 +34,9 @@ def moved_to_contact(
     Shifts are along the normal [m], zero for tips outside. They are exact for convex outlines.
     """
     gap, outward = gaps_and_normals(shape, radius, pose, tip)
-    length = np.where(gap < 0.0, CLEARANCE - gap, 0.0)
+    gap = np.where(np.abs(gap) < ROUNDING * shape.radius, 0.0, gap)
+    clearance = min(CLEARANCE[0], CLEARANCE[1] * shape.radius)
+    length = np.where(gap < 0.0, clearance - gap, 0.0)
     return gap, length[:, None] * outward
 
 

@@ -69,6 +69,11 @@ def with_scene(
     sentences = [f"{source}: {body.name!r} starts at the first measured pose."]
     pushers = scene.pushers
     if experiment.pusher is not None:
+        if track.time[-1] == 0.0:
+            found = "one row of poses, and a scene whose pusher moves along its poses"
+            raise InvalidInput(
+                experiment.provenance.source or experiment.name, found=found, expected="two or more"
+            )
         pusher = _pusher_of(scene, source)
         paths = track, experiment.pusher
         driven, more, sentence = _driven(pusher, body.shape, *paths, source, sure_of_angles)
