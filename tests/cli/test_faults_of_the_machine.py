@@ -241,3 +241,13 @@ def test_a_key_twice_among_many_is_found_at_once():
     begun = time.process_time()
     refused(parse_json, f'{{{pairs}, "k119999": 2}}', "a.json", match="'k119999' twice")
     assert time.process_time() - begun < 20.0  # it was minutes: each key compared with all
+
+
+def test_a_database_on_a_full_disk_is_not_called_damaged(small_disk, lab, capsys):
+    fill(small_disk, 0)
+    for target in (lab / "backup.db", lab.parent.parent / "backup.db"):
+        code, _, err = fixel(capsys, "db", "backup", str(target), "--project", str(lab))
+        if code:
+            assert "full" in err
+            assert "free disk space" in err
+        assert "damaged" not in err

@@ -4,6 +4,7 @@ import http.client
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import stat
@@ -18,6 +19,7 @@ import pytest
 from tests.jobs.helpers import await_true
 from tests.processes import line_of
 
+from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import StoreRefused
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
@@ -72,6 +74,32 @@ def test_a_page_of_damaged_records_is_not_called_missing(bench, monkeypatch):
     assert page.status_code == 409
     assert "experiment 1 is damaged" in page.text
     assert "Page not found" not in page.text
+
+
+def test_a_project_that_is_moved_or_deleted_is_not_shown_from_open_files(project, tmp_path):
+    from tests.web.bench import Bench
+
+    place = tmp_path / "lab"
+    shutil.copytree(project, place)
+    bench = Bench(place)
+    flag = {"ids": [1], "name": "late", "detail": "the pusher stuck", "fault": True}
+    place.rename(tmp_path / "moved")
+    for again in (False, True):
+        if again:  # another project in its place
+            shutil.copytree(project, place)
+        for path in ("/experiments", "/experiments/1", "/jobs", "/results", "/run/calibrate"):
+            page = bench.client.get(path)
+            assert page.status_code == 409, path
+            assert f"{place} was moved or deleted" in page.text
+        assert "moved or deleted" in bench.get("/experiments/1", 409)["sentence"]
+        assert "moved or deleted" in bench.post("/experiments/flag", flag, 409)["sentence"]
+    shutil.rmtree(place)
+    (tmp_path / "moved").rename(place)
+    assert bench.client.get("/experiments/1").status_code == 200
+    bench.post("/experiments/flag", flag)
+    bench.close()
+    with Project(place).store() as store:
+        assert "late" in {own.name for own in store.experiment(1).flags}
 
 
 def test_an_unexpected_error_is_logged_for_who_started_it(bench, monkeypatch, caplog):

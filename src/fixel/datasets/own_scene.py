@@ -70,9 +70,10 @@ def with_scene(
     pushers = scene.pushers
     if experiment.pusher is not None:
         if track.time[-1] == 0.0:
-            found = "one row of poses, and a scene whose pusher moves along its poses"
             raise InvalidInput(
-                experiment.provenance.source or experiment.name, found=found, expected="two or more"
+                experiment.provenance.source or experiment.name,
+                found="one row of poses, and a scene whose pusher moves along its poses",
+                expected="two or more",
             )
         pusher = _pusher_of(scene, source)
         paths = track, experiment.pusher

@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 
 from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
+from fixel.errors import StoreRefused
 from fixel.model.selection import ExperimentQuery
 from fixel.web.bench_session import BenchSession
 from fixel.web.views.calibration_views import ProgressReader, StoredCalibration, load_detail, plot
@@ -26,6 +27,7 @@ class ProjectContext:
 
     def __init__(self, project: Project) -> None:
         self.project = project
+        self._place = self._found_place()
         self.store = project.store()  # opened once; any thread may use it
         # So that the first page does not wait for its statements.
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
@@ -45,6 +47,24 @@ class ProjectContext:
     def name(self) -> str:
         """Name of the project."""
         return self.project.settings.name
+
+    def _found_place(self) -> tuple[int, int, bool] | None:
+        """Return what the folder of the project is now: None without one, as on some servers."""
+        try:
+            found = self.project.folder.stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino, found.st_nlink > 0
+
+    @property
+    def here(self) -> ProjectContext:
+        """This context; raise if the folder was moved or deleted, which open files would hide."""
+        if self._place is not None and self._found_place() != self._place:
+            raise StoreRefused(
+                f"the folder {self.project.folder} was moved or deleted since fixel serve opened it",
+                hint="end the server, and run: fixel serve --project FOLDER",
+            )
+        return self
 
     @property
     def folder(self) -> Path:
@@ -66,7 +86,7 @@ class ProjectContext:
 
 def _context(request: Request) -> ProjectContext:
     context: ProjectContext = request.app.state.context
-    return context
+    return context.here
 
 
 # Parameter of a route that needs the project.

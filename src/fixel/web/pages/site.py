@@ -51,8 +51,8 @@ def project_pages(context: ProjectContext) -> list[Page]:
             context=folder,
             place=place,
             listed=place > 0,
-            fill=partial(fill, context),
-            post=take and partial(take, context),
+            fill=lambda *request: fill(context.here, *request),
+            post=take and (lambda *request: take(context.here, *request)),
             **more,
         )
 

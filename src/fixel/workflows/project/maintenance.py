@@ -132,9 +132,10 @@ def _copy(database: Path, path: Path) -> None:
             source.backup(target)
             said = [str(row[0]) for row in target.execute("PRAGMA integrity_check")]
     except sqlite3.Error as problem:
-        full = "is full" in str(problem)
+        full = "is full" in str(problem) or "disk I/O" in str(problem)
+        reason = "its disk or that of the copy is full or fails" if full else reason_of(problem)
         raise StoreRefused(
-            f"{database} cannot be copied: {'the disk is full' if full else reason_of(problem)}",
+            f"{database} cannot be copied: {reason}",
             hint="free disk space, then repeat the command" if full else SEE,
         ) from None
     if said != ["ok"]:
