@@ -3,14 +3,17 @@
 import contextlib
 import errno
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
 import time
+from urllib.parse import urlencode
 
 import pytest
 from tests.cli.shell import fixel
 from tests.fixtures import project_of, refused
+from tests.web.bench import HERE, Bench
 
 from fixel import FixelError, InvalidInput, Project, SimulatedTestbed, StoreRefused, compare, report
 from fixel.cli.main import run
@@ -251,3 +254,16 @@ def test_a_database_on_a_full_disk_is_not_called_damaged(small_disk, lab, capsys
             assert "full" in err
             assert "free disk space" in err
         assert "damaged" not in err
+
+
+def test_a_form_on_a_full_disk_is_answered_with_a_sentence(small_disk, lab):
+    bench = Bench(lab)
+    form = bench.client.get("/run/sensitivity").text
+    word = re.search(r'name="fixel-word" value="([^"]+)"', form)[1]
+    sent = {"content-type": "application/x-www-form-urlencoded", "origin": HERE}
+    body = urlencode({"fixel-word": word, "experiments": "1"}).encode()
+    fill(small_disk, 0)
+    answer = bench.client.request("POST", "/run/sensitivity", sent, content=body)
+    bench.close()
+    assert answer.status_code == 409
+    assert "free disk space" in answer.text

@@ -230,7 +230,7 @@ def test_one_row_of_poses_has_no_motion_of_a_pusher(tmp_path):
     source = table(tmp_path)
     scene = filled(tmp_path, source)
     source.write_text("\n".join(source.read_text().splitlines()[:2]) + "\n")
-    of_file = {"scene": str(scene), "match": r"run\.csv.* one row of poses"}
+    of_file = {"scene": str(scene), "match": r"mine\.yaml and the table.* one row of poses"}
     refused(lambda **options: CSV.read(source, **options).experiments(), **of_file)
     (alone,) = CSV.read(source).experiments()
     assert len(alone.trajectory.time) == 1

@@ -20,10 +20,9 @@ MAX_CORRECTION: Final = 3e-3
 # Usual duration of the correction of a path that starts inside the object [s].
 FADE: Final = 0.5
 
-# Largest overlap that is rounding, and gap after a correction against rounding [m]; of small objects
-# relative to their radius.
-ROUNDING: Final = 1e-12
+# Gap after a correction, against rounding: in m, and for small objects relative to their radius.
 CLEARANCE: Final = 1e-9, 1e-6
+ROUNDING: Final = 1e-12  # largest overlap that is rounding, relative to the radius
 
 
 def moved_to_contact(

@@ -69,12 +69,6 @@ def with_scene(
     sentences = [f"{source}: {body.name!r} starts at the first measured pose."]
     pushers = scene.pushers
     if experiment.pusher is not None:
-        if track.time[-1] == 0.0:
-            raise InvalidInput(
-                experiment.provenance.source or experiment.name,
-                found="one row of poses, and a scene whose pusher moves along its poses",
-                expected="two or more",
-            )
         pusher = _pusher_of(scene, source)
         paths = track, experiment.pusher
         driven, more, sentence = _driven(pusher, body.shape, *paths, source, sure_of_angles)
@@ -217,6 +211,9 @@ def _driven(
 
     Raise for an impossible path of a round tip, or a wrong unit of angles if it is not `sure`.
     """
+    if track.time[-1] == 0.0:
+        where, expected = f"{source} and the table", "a motion for the pusher of the scene"
+        raise InvalidInput(where, found="one row of poses", expected=expected)
     measured = np.column_stack((tip.time, tip.pose))
     flags: tuple[Flag, ...] = ()
     sentence = f"{pusher.name!r} follows its measured path"

@@ -21,7 +21,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import fixel
-from fixel.errors import FixelError
+from fixel.errors import FixelError, machine_failure
 from fixel.web import security
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
@@ -219,6 +219,12 @@ def _answer_errors(app: FastAPI, render: Any) -> None:
         title = page.title if problem.status == ABSENT else "The page cannot be shown"
         more = {"title": title, "sentence": problem.sentence, "hint": ""}  # the sentence has it
         return HTMLResponse(render(page, more, request.url.path), status_code=problem.status)
+
+    @app.exception_handler(OSError)
+    def of_the_machine(request: Request, error: OSError) -> Response:
+        if (failure := machine_failure(error)) is None:
+            raise error
+        return refused(request, failure)
 
     @app.exception_handler(HTTPException)
     def missing(request: Request, error: HTTPException) -> Response:

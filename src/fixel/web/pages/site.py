@@ -7,7 +7,6 @@ Next pushes 45, Plan 47, Simulate 50, Bench 52, Results 55, Jobs 60, System 70, 
 from __future__ import annotations
 
 import shlex
-from functools import partial
 from threading import Thread
 from typing import Any, Final
 

@@ -75,24 +75,22 @@ def _joined(runs: tuple[Simulation, ...], values: Mapping[str, float]) -> Iterat
     starts = np.cumsum([0.0, *(run.time[-1] for run in runs)])
     time = np.concatenate([run.time + start for run, start in zip(runs, starts, strict=False)])
     scene = runs[0].scene
-    for kind, things in (("part", scene.bodies), ("pusher", scene.pushers)):
+    for kind, things, at in (("part", scene.bodies, outline), ("pusher", scene.pushers, [0.0] * 3)):
+        grown = values.get("contact_offset", 0.0) if kind == "pusher" else 0.0
         for thing in things:
-            pose, shape = np.vstack([run.pose[thing.name] for run in runs]), thing.shape
-            if kind == "pusher" and isinstance(shape, Disk):
-                shape = Disk(shape.radius + values.get("contact_offset", 0.0))
-            corners = _triangles(shape)
-            if kind == "part":
-                corners = placed(corners, outline)
+            pose = np.vstack([run.pose[thing.name] for run in runs])
+            corners = placed(_triangles(thing.shape, grown), at)
             yield BodyMotion(thing.name, kind, corners, time, pose)
     for fixel in scene.fixels:
         pose = np.array([fixel.pose])
         yield BodyMotion(fixel.name, "fixel", _triangles(fixel.shape), time[:1], pose)
 
 
-def _triangles(shape: Shape) -> FloatArray:
-    """Return the corners (3 m, 2) of triangles that fill a shape, in its frame [m]."""
-    pieces = [corners for corners, _ in shape.pieces]
-    return np.vstack([own[[0, k, k + 1]] for own in pieces for k in range(1, len(own) - 1)])
+def _triangles(shape: Shape, grown: float = 0.0) -> FloatArray:
+    """Return corners (3 m, 2) of triangles that fill a shape, and a disk grown by a length [m]."""
+    scale = 1.0 + grown / shape.radius if isinstance(shape, Disk) else 1.0
+    fans = [own[[0, k, k + 1]] for own, _ in shape.pieces for k in range(1, len(own) - 1)]
+    return scale * np.vstack(fans)
 
 
 def _corners(body: BodyMotion) -> FloatArray:
