@@ -16,7 +16,7 @@ def pushes(size, file):
     """Six pushes of a part of this size, whose tripod has 0.3 of it and whose friction is 0.25."""
     rng, found = np.random.default_rng(0), []
     outline = size * np.array([(-0.5, -0.35), (0.5, -0.35), (0.5, 0.35), (-0.5, 0.35)])
-    for _ in range(6):
+    for k in range(6):
         pose = 0.0, 0.15 * size * rng.uniform(-1, 1), rng.uniform(-0.3, 0.3)
         body = Body("part", Polygon(outline), mass=0.1, pose=pose,
                     support=Tripod(radius=0.3 * size, friction=0.3))  # fmt: skip
@@ -32,7 +32,8 @@ def pushes(size, file):
             csv.writer(stream).writerows([NAMES, *rows.tolist()])
         body = replace(body, support=Tripod(radius=0.25 * size, friction=0.3))
         scene = Scene(body, replace(tip, drive=None, friction=0.4))
-        found += fixel.read_experiments(file, scene=scene)
+        (push,) = fixel.read_experiments(file, scene=scene)
+        found.append(replace(push, name=f"push-{k}"))
     return found
 
 

@@ -136,7 +136,10 @@ def test_a_condition_with_many_values_names_no_sessions():
 
 def test_several_tables_are_refused():
     pushes = over_a_table(noise=NOISE)
-    others = [replace(own, conditions={**own.conditions, "surface": "steel"}) for own in pushes]
+    others = [
+        replace(own, name=f"{own.name}-steel", conditions={**own.conditions, "surface": "steel"})
+        for own in pushes
+    ]
     refused(table_check, [*pushes, *others], match=r"'board' and 'steel'.*where=surface=steel")
 
 

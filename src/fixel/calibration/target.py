@@ -55,15 +55,18 @@ def target_of(experiment: Experiment) -> Target:
 
 
 def targets_of(experiments: Iterable[Experiment | Target]) -> list[Target]:
-    """Return the targets of several experiments, at least one."""
+    """Return the targets of several experiments with names of their own, at least one."""
     instance(experiments, Iterable, "experiments", "a list of experiments")
-    targets = []
+    targets = dict[str, Target]()
     for own in experiments:
         instance(own, Experiment | Target, "experiments", "experiments")
-        targets.append(own if isinstance(own, Target) else target_of(own))
+        if own.key in targets:
+            expected = "different names, as by dataclasses.replace(experiment, name=...)"
+            raise InvalidInput("experiments", found=f"{own.key} twice", expected=expected)
+        targets[own.key] = own if isinstance(own, Target) else target_of(own)
     if not targets:
         raise no_experiments()
-    return targets
+    return [*targets.values()]
 
 
 def scene_of(experiment: Experiment) -> Scene:

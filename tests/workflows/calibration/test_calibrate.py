@@ -47,6 +47,31 @@ def test_the_true_values_are_in_their_intervals(fit):
     assert fit.rms_error < fit.nominal_rms_error
 
 
+def test_experiments_of_one_name_are_refused(pushes):
+    namesake = replace(pushes[1], name=pushes[0].name, dataset=pushes[0].dataset)
+    for several in ([pushes[0], namesake], [pushes[0], pushes[0]]):
+        match = f"{pushes[0].key} twice, but fixel needs different names"
+        refused(fixel.calibrate, several, BOUNDS, **QUIET, match=match)
+        refused(fixel.posterior, several, BOUNDS, **QUIET, match=match)
+
+
+def test_a_project_stores_no_calibration_of_other_measurements(pushes, tmp_path):
+    # Its pages and comparisons would call an experiment fitted that no calibration has used.
+    project = fixel.Project.create(tmp_path / "lab")
+    with project.store() as store:
+        for push in pushes[:2]:
+            store.add_experiment(push)
+    other = replace(pushes[2], name=pushes[0].name, dataset=pushes[0].dataset)
+    asked = {**QUIET, "verdicts": False, "store": project}
+    match = f"other measurements of {pushes[0].key}"
+    refused(fixel.calibrate, [other, pushes[1]], BOUNDS, **asked, match=match)
+    in_memory = fixel.calibrate([other, pushes[1]], BOUNDS, **QUIET, verdicts=False)
+    refused(project.add, in_memory, match=match)
+    with project.store() as store:
+        assert not store.calibration_summaries()
+    assert fixel.calibrate(pushes[:2], BOUNDS, **asked).run.ids == (1,)
+
+
 def test_residuals_are_the_difference_of_a_simulation_and_the_measurement(fit, pushes):
     """The simulation is made here by `fixel.simulate`, without the calibration's own code."""
     push = pushes[1]
@@ -265,8 +290,8 @@ def test_an_interrupted_search_gives_the_best_so_far(pushes, fit):
 
 
 @pytest.mark.parametrize("stored", [False, True])
-def test_interrupted_singles_are_those_that_finished(pushes, stored, tmp_path):
-    six, space = [*pushes, *pushes[:2]], {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+def test_interrupted_singles_are_those_that_finished(stored, tmp_path):
+    six, space = example_pushes(6), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
     options = {"verdicts": False, "max_evaluations": 10}
 
     def interrupt(progress):

@@ -51,7 +51,7 @@ from fixel.workflows.calibration.plan import (
     rounds,
 )
 from fixel.workflows.calibration.request import NamedOptions, named_options, options_of
-from fixel.workflows.calibration.stored import add_to_project
+from fixel.workflows.calibration.stored import add_to_project, stored_ids
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -82,8 +82,7 @@ def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     project = Project(asked.store) if is_path else asked.store
     if not plan.asked:
         with project.store() as store:
-            ids = map(store.find, (target.key for target in plan.targets))
-            plan = replace(plan, asked=options_of(plan.request, ids))
+            plan = replace(plan, asked=options_of(plan.request, stored_ids(store, plan.targets)))
     folder = offered("methods", "prepare")(*_job(plan), project, plan.inputs)
     return add_to_project(project, _run_job(plan, folder, asked))
 

@@ -224,12 +224,9 @@ class CalibrationRequest(_Fields):
         if self.level is None:
             raise InvalidInput("level", found=None, expected="a number between 0 and 1")
         if self.mode == "stored" and not self.stored:
-            raise InvalidInput(
-                "mode stored",
-                found="no stored calibration with values of all these parameters",
-                expected="at least one",
-                hint="calibrate each first",
-            )
+            found = "no stored calibration with values of all these parameters"
+            expected, hint = "at least one", "calibrate each first"
+            raise InvalidInput("mode stored", found=found, expected=expected, hint=hint)
         if self.budget is not None and self.mode != "joint":
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
         if isinstance(self.made_search, LeastSquares) and not self.sums_squares:

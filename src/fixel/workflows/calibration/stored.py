@@ -68,12 +68,9 @@ def load_values(
     """
     own = newest_calibration(store, engine=engine) if calibration_id is None else calibration_id
     if own is None:
-        raise InvalidInput(
-            "calibration",
-            found="none stored" + (f" by {engine}" if engine else ""),
-            expected="at least one",
-            hint="calibrate first: fixel calibrate" + (f" --engine {engine}" if engine else ""),
-        )
+        by, option = (f" by {engine}", f" --engine {engine}") if engine else ("", "")
+        absent, hint = f"none stored{by}", f"calibrate first: fixel calibrate{option}"
+        raise InvalidInput("calibration", found=absent, expected="at least one", hint=hint)
     found = CalibratedValues(own, store.calibration(own))
     if engine and not EngineName.of(engine).fits(found.motion.name):
         raise InvalidInput(
@@ -175,12 +172,9 @@ def _usual_space(
     for label, value in found.items():
         name, where = split_label(label)
         if where:
-            raise InvalidInput(
-                f"calibration {one.id}",
-                found=f"no bounds of {label}, which only some experiments share",
-                expected="one with conditions and bounds",
-                hint="calibrate again, or name the parameters",
-            )
+            absent = f"no bounds of {label}, which only some experiments share"
+            expected, hint = "conditions and bounds", "calibrate again, or name the parameters"
+            raise InvalidInput(f"calibration {one.id}", found=absent, expected=expected, hint=hint)
         (unknown,) = searched_unknowns([name], scenes)
         low, high = min(unknown.low, value), max(unknown.high, value)
         unknowns.append(replace(unknown, low=low, high=high, nominal=value, frozen=label in held))
@@ -203,13 +197,23 @@ def add_to_project(
     """
     run = found.run if isinstance(found, Calibration) else found
     with project.store() as store:
-        experiments = [store.find(key) for key in run.outcome.keys]
+        experiments = stored_ids(store, run.targets, known=bool(run.asked))
         asked = dict(run.asked or options_of(run.request, experiments))
         asked["project"] = str(project.folder.resolve())
         run = replace(run, asked=asked, command=run.command or command_of(asked))
         ids = store.add_calibrations([*_records(run, experiments)], _mark)
     stored = replace(run, ids=tuple(ids))
     return stored[found.number] if isinstance(found, Calibration) else stored
+
+
+def stored_ids(store: Store, targets: Sequence[Target], *, known: bool = False) -> list[int]:
+    """Return the ids of experiments; unless they are known, a store must have the same poses."""
+    ids = [store.find(target.key) for target in targets]
+    for own, number in zip(targets, () if known else ids, strict=not known):
+        if not np.array_equal(target_of(store.experiment(number)).pose, own.pose):
+            found = f"other measurements of {own.key}"
+            raise InvalidInput("project", found=found, expected="a project with the same")
+    return ids
 
 
 def stored_rounds(

@@ -118,9 +118,6 @@ def check(targets: Sequence[Target], asked: Any) -> None:
     """Raise if no map can be made with these axes, before anything is fitted."""
     rows = [coordinates_of(target) for target in targets]
     keys = [target.key for target in targets]
-    if len({*keys}) < len(keys):
-        found = f"{next(key for key in keys if keys.count(key) > 1)} twice"
-        raise InvalidInput("experiments", found=found, expected="different names")
     zeros = [0] * len(rows)
     content = {"keys": keys, "ids": zeros, "coordinates": rows, "error": zeros, "fold": zeros,
                "configuration": keys}  # fmt: skip
