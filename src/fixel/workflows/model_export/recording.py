@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -33,16 +33,13 @@ class BodyMotion(NamedTuple):
 
     name: str
     kind: str
-    corners: FloatArray  # (3 m, 2) of triangles that fill its shape, in its frame [m]
+    corners: FloatArray  # (3 m, 3) of triangles that fill its shape, in its frame [m]
     time: FloatArray  # (n,) [s]
     pose: FloatArray  # (n, 3) [m, m, rad]
 
 
 def motion_of(source: ModelSource) -> tuple[list[BodyMotion], list[str]]:
-    """Return the motions in the first case of a source, and what they lack.
-
-    The case is simulated unless its motion is known.
-    """
+    """Return the motion of the first case, simulated unless it is known, and what it lacks."""
     case = source.cases[0]
     runs = source.runs or (
         simulate(
@@ -56,16 +53,14 @@ def motion_of(source: ModelSource) -> tuple[list[BodyMotion], list[str]]:
     found = [*_joined(runs, case.values)]
     if case.measured is not None:
         name = f"{found[0].name} measured"
-        found.append(BodyMotion(name, "measured", found[0].corners, case.times, case.measured))
+        corners = found[0].corners + np.array([0.0, 0.0, HEIGHT])
+        found.append(BodyMotion(name, "measured", corners, case.times, case.measured))
     for name, n in Counter(["world", *(one.name for one in found)]).items():
         if n > 1:
             expected = f"another name: the recording has its own frame {name!r}"
             raise InvalidInput("name of a body", found=repr(name), expected=expected)
-    lost = [
-        f"motion after {run.time[-1]:g} s: {run.status}"
-        for run in runs
-        if run.stopped_at is not None
-    ]
+    stopped = (run for run in runs if run.stopped_at is not None)
+    lost = [f"motion after {run.time[-1]:g} s: {run.status}" for run in stopped]
     return found, ["masses, friction and forces", *lost]
 
 
@@ -75,28 +70,21 @@ def _joined(runs: tuple[Simulation, ...], values: Mapping[str, float]) -> Iterat
     starts = np.cumsum([0.0, *(run.time[-1] for run in runs)])
     time = np.concatenate([run.time + start for run, start in zip(runs, starts, strict=False)])
     scene = runs[0].scene
-    for kind, things, at in (("part", scene.bodies, outline), ("pusher", scene.pushers, [0.0] * 3)):
+    for kind, things, at in (("part", scene.bodies, outline), ("pusher", scene.pushers, (0, 0, 0))):
         grown = values.get("contact_offset", 0.0) if kind == "pusher" else 0.0
         for thing in things:
             pose = np.vstack([run.pose[thing.name] for run in runs])
-            corners = placed(_triangles(thing.shape, grown), at)
-            yield BodyMotion(thing.name, kind, corners, time, pose)
+            yield BodyMotion(thing.name, kind, _triangles(thing.shape, at, grown), time, pose)
     for fixel in scene.fixels:
         pose = np.array([fixel.pose])
         yield BodyMotion(fixel.name, "fixel", _triangles(fixel.shape), time[:1], pose)
 
 
-def _triangles(shape: Shape, grown: float = 0.0) -> FloatArray:
-    """Return corners (3 m, 2) of triangles that fill a shape, and a disk grown by a length [m]."""
+def _triangles(shape: Shape, at: Sequence[float] = (0, 0, 0), grown: float = 0.0) -> FloatArray:
+    """Return corners (3 m, 3) of triangles that fill a shape at a pose; `grown` is for disks."""
     scale = 1.0 + grown / shape.radius if isinstance(shape, Disk) else 1.0
     fans = [own[[0, k, k + 1]] for own, _ in shape.pieces for k in range(1, len(own) - 1)]
-    return scale * np.vstack(fans)
-
-
-def _corners(body: BodyMotion) -> FloatArray:
-    """Return the corners (3 m, 3) of the triangles of a body, in its frame [m]."""
-    height = HEIGHT if body.kind == "measured" else 0.0
-    return np.insert(body.corners, 2, height, axis=1)
+    return np.insert(placed(scale * np.vstack(fans), at), 2, 0.0, axis=1)
 
 
 def write_mcap(path: Path, found: list[BodyMotion]) -> None:
@@ -149,7 +137,7 @@ def _entity(body: BodyMotion) -> dict[str, Any]:
     none = dict.fromkeys("xyz", 0.0)
     triangles = {
         "pose": {"position": none, "orientation": none | {"w": 1.0}},
-        "points": [dict(zip("xyz", corner, strict=True)) for corner in _corners(body).tolist()],
+        "points": [dict(zip("xyz", corner, strict=True)) for corner in body.corners.tolist()],
         "color": dict(zip("rgba", (*_COLOURS[body.kind], 1.0), strict=True)),
         "colors": [],
         "indices": [],
@@ -176,7 +164,7 @@ def write_rerun(path: Path, found: list[BodyMotion]) -> None:
         name, (x, y, angle) = rerun.new_entity_path(["world", body.name]), body.pose.T
         recording.log(
             name,
-            rerun.Mesh3D(vertex_positions=_corners(body), albedo_factor=_COLOURS[body.kind]),
+            rerun.Mesh3D(vertex_positions=body.corners, albedo_factor=_COLOURS[body.kind]),
             static=True,
         )
         turn = np.column_stack((0.0 * x, 0.0 * x, np.sin(angle / 2), np.cos(angle / 2)))
