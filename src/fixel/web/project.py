@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from typing import Final
 
-from fastapi import Depends, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 
 import fixel
 from fixel.web.api import analyses, calibration, changes, compare, experiments, jobs, scenes, system
@@ -24,6 +24,10 @@ ROUTERS: Final = (
     *(changes.router, compare.router, experiments.router, jobs.router, scenes.router),
     system.router,
 )
+# Shared by all projects of a process: FastAPI reads them for 50 ms when they are first used.
+ROUTES: Final = APIRouter(responses={"4XX": {"model": Refusal}, 422: {"model": Refusal}})
+for _router in ROUTERS:
+    ROUTES.include_router(_router, dependencies=[Depends(refuse_unknown_query)])
 
 ABOUT: Final = """Experiments, simulations, calibrations and domains of one project.
 
@@ -38,18 +42,13 @@ Programs send `Authorization: Bearer TOKEN` with the token of the link that `fix
 
 def project_api(context: ProjectContext) -> FastAPI:
     """Create the API for programs, to be mounted."""
+    # The viewers of the document load scripts from elsewhere.
     api = FastAPI(
-        title=f"fixel: {context.name}",
-        version=fixel.__version__,
-        description=ABOUT,
-        docs_url=None,  # these pages load scripts from elsewhere
-        redoc_url=None,
-        openapi_url="/openapi.json",
-        responses={"4XX": {"model": Refusal}, 422: {"model": Refusal}},
-    )
+        title=f"fixel: {context.name}", version=fixel.__version__, description=ABOUT,
+        docs_url=None, redoc_url=None,
+    )  # fmt: skip
     api.state.context = context
-    for router in ROUTERS:
-        api.include_router(router, dependencies=[Depends(refuse_unknown_query)])
+    api.router.routes += ROUTES.routes
     answer_errors(api)
     threading.Thread(target=warm_up, name="fixel-warm-up", daemon=True).start()
     return api
