@@ -1,5 +1,7 @@
 """Learned residuals on sides never pushed, on made-up pushes and on real ones."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from reproductions import protocols
@@ -11,7 +13,7 @@ from tests.reproductions.test_mit_push import made_up
 from fixel.datasets.mit_push import read_mit_pushes
 from fixel.io.array_bytes import ResultCache
 
-pytest.importorskip("sklearn")
+pytestmark = pytest.mark.skipif(find_spec("sklearn") is None, reason="no sklearn")
 
 
 def test_quarters_are_equally_large_and_contiguous(tmp_path):

@@ -1,13 +1,14 @@
 """Gaussian processes on what physics leaves over, among their examples and beyond them."""
 
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from reproductions.residual_process import NINETY, ResidualProcess
 from tests.fixtures import refused
 
-pytest.importorskip("sklearn")
+pytestmark = pytest.mark.skipif(find_spec("sklearn") is None, reason="no sklearn")
 
 
 def made_up(n, seed):
