@@ -65,7 +65,7 @@ def test_help_names_no_error_of_python(name):
 def test_an_error_states_the_meaning_of_a_missing_value():
     with pytest.raises(InvalidInput) as problem:
         CliRunner().invoke(app, ["camera", "calibrate", "a.png"], catch_exceptions=False)
-    assert str(problem.value).startswith("--board is missing: give a value; calibration board")
+    assert str(problem.value).startswith("--board is missing; calibration board")
     assert "charuco:7x5:30mm:22mm" in str(problem.value)
 
 

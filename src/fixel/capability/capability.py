@@ -318,9 +318,7 @@ class Capability:
             if rest:
                 return InvalidInput(where, found="only one of them", expected="both, or neither")
             hint = self.shown[where].help.rstrip(".")
-            return InvalidInput(
-                where, found=None, expected="a value", hint=hint[:1].lower() + hint[1:]
-            )
+            return InvalidInput(where, found=None, hint=hint[:1].lower() + hint[1:])
         if kind == "too_long":  # of a pair
             expected = f"a list of {first['ctx']['max_length']}"
             return InvalidInput(where, found=first["input"], expected=expected)

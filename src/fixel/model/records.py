@@ -232,14 +232,15 @@ def estimate_table(estimates: Iterable[Estimate], level: float | None) -> Table:
 
     `level` is the confidence level of the intervals; None if it is unknown.
     """
-    rows = []
+    rows, name = [], "interval" if level is None else interval_name(level)
     for own in estimates:
+        name = interval_name(level) if own.is_assessed else name
         rows.append((own.label, own.value_text, own.interval_text, own.verdict_text))
         if (narrow := own.noise_alone) is not None:
             rows.append(("  noise alone", narrow.text(narrow.value), narrow.interval_text, ""))
     width = max((len(row[1]) for row in rows), default=0)
     return Table(
-        ("parameter", "value", interval_name(level), "verdict"),
+        ("parameter", "value", name, "verdict"),
         [(label, value.rjust(max(width, len("value"))), *rest) for label, value, *rest in rows],
         left=4,
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.fixtures import refused
 from tests.laboratories import campaign
+from tests.web.bench import Bench
 from tests.workflows.growing import (
     NAMES,
     comparer_of,
@@ -20,10 +21,10 @@ from tests.workflows.growing import (
 from fixel.calibration.result import FitKind
 from fixel.database.project import Project
 from fixel.domain.growth import ROWS, STORED, domain
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.web.views.calibration_views import list_calibrations
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.calibration.stored import load_values
+from fixel.workflows.calibration.stored import load_values, stored_calibration
 from fixel.workflows.capabilities import run
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import explore, threshold_in
@@ -84,6 +85,15 @@ def test_means_are_kept_once_with_weights_and_errors(lab, experiments, points, e
         named = {own.id: own.name for own in list_calibrations(store) if own.id in first.added}
     assert sorted(named) == sorted(first.added)
     assert all(f"step {k}" in named[number] for k, number in enumerate(first.added, start=1))
+    with pytest.raises(StoreRefused, match=r"a mean of others.*fixel compare"):
+        stored_calibration(project, first.added[0])
+    # A mean has no intervals, of any level.
+    bench = Bench(project.folder)
+    page = bench.client.get(f"/calibrations/{first.added[0]}")
+    bench.close()
+    assert page.status_code == 200
+    assert "interval" in page.text
+    assert "unknown level" not in page.text
     # Means on the way are no answer to "the calibration of this project".
     with project.store() as store:
         assert load_values(store).id not in first.added

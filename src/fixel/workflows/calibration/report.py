@@ -332,12 +332,9 @@ def each_fit_chart(fits: Calibrations) -> Chart:
 def fit_profiles_chart(fit: Calibration, word: str = "") -> Chart:
     """Draw the profile likelihood of each parameter."""
     if not fit.found.profiles:
-        raise InvalidInput(
-            "kind",
-            found="'profiles' of a calibration without verdicts",
-            expected="one with verdicts",
-            hint=fit.found.note or "calibrate with verdicts=True",
-        )
+        found, expected = "'profiles' of a calibration without verdicts", "one with verdicts"
+        hint = fit.found.note or "calibrate with verdicts=True"
+        raise InvalidInput("kind", found=found, expected=expected, hint=hint)
     estimates = {estimate.label: estimate for estimate in fit.found.estimates}
     return profiles_chart(_title_of(fit, word), fit.found.profiles, estimates, fit.level)
 

@@ -230,12 +230,10 @@ class CalibrationRequest(_Fields):
         if self.budget is not None and self.mode != "joint":
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
         if isinstance(self.made_search, LeastSquares) and not self.sums_squares:
-            raise InvalidInput(
-                f"optimiser {LeastSquares.name}",
-                found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",
-                expected="mode joint and a sum or mean of squares",
-                hint="choose pattern-search or nelder-mead",
-            )
+            found = f"mode {self.mode}, combine {self.combine}, error {self.error.name}"
+            expected = "mode joint and a sum or mean of squares"
+            where, hint = f"optimiser {LeastSquares.name}", "choose pattern-search or nelder-mead"
+            raise InvalidInput(where, found=found, expected=expected, hint=hint)
         _ = self.space, self.made_error, self.made_motion, self.noise
 
 

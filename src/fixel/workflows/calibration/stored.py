@@ -253,7 +253,12 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     its profiles are unknown.
     """
     with project.store() as store:
-        return _from_records(store, {number: store.calibration(number)})[0]
+        record = store.calibration(number)
+        if record.method.get("mode") == "growth":
+            reason = f"calibration {number} is a mean of others, by fixel domain growth: no search"
+            hint = f"use its values: fixel compare EXPERIMENT --calibration {number}"
+            raise StoreRefused(reason, hint=hint)
+        return _from_records(store, {number: record})[0]
 
 
 def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Calibrations:
