@@ -61,7 +61,7 @@ class ProjectContext:
         """This context; raise if the folder was moved or deleted, which open files would hide."""
         if self._place is not None and self._found_place() != self._place:
             raise StoreRefused(
-                f"since its start, the folder {self.project.folder} was moved or deleted",
+                f"the folder {self.project.folder} was moved or deleted while it was shown",
                 hint="end the server, and run: fixel serve --project FOLDER",
             )
         return self

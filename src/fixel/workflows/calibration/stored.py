@@ -209,7 +209,7 @@ def add_to_project(
 def stored_ids(store: Store, targets: Sequence[Target], *, known: bool = False) -> list[int]:
     """Return the ids of experiments; unless they are known, a store must have the same poses."""
     ids = [store.find(target.key) for target in targets]
-    for own, number in zip(targets, () if known else ids, strict=not known):
+    for own, number in [] if known else zip(targets, ids, strict=True):
         if not np.array_equal(target_of(store.experiment(number)).pose, own.pose):
             found = f"other measurements of {own.key}"
             raise InvalidInput("project", found=found, expected="a project with the same")
