@@ -10,7 +10,7 @@ from tests.simulation.random_grasps import random_grasp
 
 from fixel import load
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, PathDrive, Polygon, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, Fixel, LineDrive, PathDrive, Polygon, Pusher, Scene, Tripod
 from fixel.simulation import (
     Accuracy,
     Adaptive,
@@ -231,6 +231,23 @@ def test_a_limit_of_steps_is_not_that_of_the_fixed_steps():
     accuracy = simulate(pushed_square(), stepper=limited, accuracy=True).accuracy
     assert accuracy.verdict == "agreed"
     assert accuracy.distance < 2e-5
+
+
+def test_a_fast_impact_before_a_long_slide_is_confirmed():
+    """It leaves the peg with half its speed, and friction takes up the rest in closed form.
+
+    Steps of the length for its first speed would be half a million.
+    """
+    speed, way, friction, bounce = 3.0, 0.1, 0.3, 0.5
+    disk = Body(
+        "disk", Disk(0.012), mass=0.1, pose=(0, 0, 0), velocity=(speed, 0, 0), support=SUPPORT
+    )
+    peg = Fixel("peg", Disk(0.01), pose=(way + 0.022, 0, 0), friction=0.0, restitution=bounce)
+    run = simulate(Scene(disk, fixels=(peg,), duration=1.5), accuracy=True)
+    left = bounce**2 * (speed**2 - 2.0 * friction * 9.81 * way)
+    assert run.final["disk"].x == pytest.approx(way - left / (2.0 * friction * 9.81), abs=1e-6)
+    assert run.accuracy.verdict == "agreed"
+    assert run.accuracy.distance < 5e-5
 
 
 def test_several_parts_are_compared_with_fixed_steps():

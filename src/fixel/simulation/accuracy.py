@@ -25,7 +25,8 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
 APART_ANGLE: Final = math.radians(0.1)
 UNSURE: Final = 4.0  # times these limits; within them, ends of fixed steps err by themselves
-FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
+# Fixed steps, of the time in which the fastest motion covers that length; longer if they are many.
+FIXED_STEP: Final = 5e-4, 1e-2
 MOST_STEPS: Final = 100_000  # of fixed length, at least, whatever the limit of the stepper
 # Shifts of the start, of that length and in rad: every step size may choose the same motion.
 SHIFTS: Final = 2e-6 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
@@ -145,7 +146,8 @@ def _solve(
     part = _chosen(packed, chosen, SHIFTS[way - SHIFTED] if way >= SHIFTED else 0.0)
     if FIXED <= way < SHIFTED:
         length, lead = STEPS[way - FIXED]
-        part.batch.settings[:, at.STEP] = length * FIXED_STEP
+        step = part.batch.settings[:, at.DURATION] / (0.9 * MOST_STEPS)
+        part.batch.settings[:, at.STEP] = length * np.clip(step, *FIXED_STEP)
         most = int(max(method.max_steps, MOST_STEPS) / length)
         method = method._replace(adaptive=0, lead=lead, max_steps=most)
     return poses_at(part, method, times, threads)
