@@ -116,6 +116,29 @@ def test_the_button_stops_the_drive(browser_page, server, session, faults):
     page.wait_for_selector("button[data-do=place]")
 
 
+@pytest.mark.parametrize("begin_of", ["press", "release"])
+def test_a_slow_press_of_the_button_stops_the_drive(browser_page, server, session, begin_of):
+    """The status came 20 times per second, and replaced the button between press and release."""
+    page = browser_page
+    begin(page, server, f"slow-{begin_of}")
+    source = session.loop.devices.laboratory.advance
+    session.loop.devices.laboratory.advance = lambda: (time.sleep(0.1), source())[1]
+    if begin_of == "release":  # a click alone has to do, as on other buttons
+        listen = "addEventListener('pointerdown', (own) => own.stopImmediatePropagation(), true)"
+        page.evaluate(listen)
+    place(page)
+    page.click("button[data-do=push]")
+    page.wait_for_selector("#side p:has-text('frames,')")
+    box = page.locator("button[data-do=stop]").bounding_box()
+    page.mouse.move(box["x"] + 10.0, box["y"] + 10.0)
+    page.mouse.down()
+    frames = page.inner_text("#side p:has-text('frames,')")
+    until(lambda: frames not in page.inner_text("#side"), page)  # a status came
+    page.mouse.up()
+    page.wait_for_selector("#problems:has-text('stopped by the person')")
+    assert not session.loop.devices.drive.moving
+
+
 def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, server, session):
     page = browser_page
     begin(page, server, "lost")

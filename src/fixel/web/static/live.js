@@ -69,6 +69,10 @@ async function tell(what, said = {}) {
   if (!answer.ok) throw new Error(await answer.text());
 }
 
+// A stop counts from the press on, whatever happens until the release.
+document.addEventListener("pointerdown", ({ target }) => {
+  if (target instanceof Element && target.closest("button[data-do=stop]")) tell("act", { do: "stop" }).catch(complain);
+});
 document.addEventListener("click", async ({ target }) => {
   const button = target instanceof Element ? target.closest("button[data-post]") : null;
   if (!(button instanceof HTMLButtonElement)) return;

@@ -7,7 +7,8 @@
 // <form data-live>           a filter: the parts change as one types, and with every choice or button;
 //   data-said on a button   words for a message that offers the way back
 // <a data-renew>             a link that changes parts of this page only
-// <div id data-part>         is replaced by what the server renders; data-every: again after [ms]
+// <div id data-part>         is replaced by what the server renders; data-every: again after [ms];
+//   data-part="alive"        only where it differs, so that buttons can be pressed and keep the keyboard
 // <button data-copy>         copies a text
 // <select data-sets="ID">    its value is written into the field of that id; also of a slider
 // <select data-goes>         its value is the page to open
@@ -45,7 +46,8 @@ export function exchange(text) {
     const other = fresh.getElementById(part.id);
     if (!other || part.isEqualNode(other)) continue;
     const scrolled = [...part.querySelectorAll("[id]")].filter(({ scrollTop }) => scrollTop).map(({ id, scrollTop }) => ({ id, scrollTop }));
-    part.replaceWith(document.adoptNode(other));
+    if (part instanceof HTMLElement && part.dataset.part) change(part, document.adoptNode(other));
+    else part.replaceWith(document.adoptNode(other));
     for (const { id, scrollTop } of scrolled) document.getElementById(id)?.scrollTo({ top: scrollTop });
   }
   // Fields that were changed meanwhile are sent next.
@@ -56,6 +58,24 @@ export function exchange(text) {
   if (focused && document.activeElement?.id !== focused) document.getElementById(focused)?.focus({ preventScroll: true });
   document.dispatchEvent(new Event("renewed"));
   wait();
+}
+
+/**
+ * Make a node like another one. What is alike stays: a button that is replaced between press and release is not clicked.
+ * @param {ChildNode} node @param {ChildNode} other
+ */
+function change(node, other) {
+  if (node.isEqualNode(other)) return;
+  const [own, others] = [[...node.childNodes], [...other.childNodes]];
+  const alike = node instanceof Element && other instanceof Element && node.nodeName === other.nodeName
+    && own.length === others.length && own.every(({ nodeName }, k) => nodeName === others[k]?.nodeName);
+  if (!alike) {
+    node.replaceWith(other);
+    return;
+  }
+  for (const { name } of [...node.attributes]) if (!other.hasAttribute(name)) node.removeAttribute(name);
+  for (const { name, value } of [...other.attributes]) node.setAttribute(name, value);
+  own.forEach((child, k) => { const fresh = others[k]; if (fresh) change(child, fresh); });
 }
 
 /** Renew the page once more where a part of it says so. */
