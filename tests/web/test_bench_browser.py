@@ -158,6 +158,45 @@ def test_a_page_that_is_closed_during_a_push_stops_the_drive(browser_page, serve
     assert not session.loop.devices.drive.moving
 
 
+def check(page, server, name):
+    """Start a check of the bench by the form."""
+    page.goto(server.home + "bench?new=1")
+    page.click("details summary")
+    for field in ("emulated", "check"):
+        page.select_option("#" + field, "yes")
+    page.fill("#name", name)
+    page.click("button:has-text('Start')", no_wait_after=True)
+    page.wait_for_selector("#side", timeout=1e3 * PATIENCE)
+
+
+def test_a_check_shows_what_it_measured_and_that_it_ended(browser_page, server, session, faults):
+    page = browser_page
+    check(page, server, "checked")
+    page.wait_for_selector("a:has-text('Perform another plan')", timeout=1e3 * PATIENCE)
+    cells = page.locator("#figures tr:has-text('camera noise')").first.locator("td").all()
+    value, unit = cells[0].inner_text().split()
+    assert 0.0 < float(value) < 0.1
+    assert unit == "mm"
+    assert cells[2].inner_text() == "good"
+    assert page.locator("#figures tbody tr").count() == 8
+    assert page.locator("[data-post]").count() == 0  # nothing answers them any more
+    assert faults(page) == []
+
+
+def test_a_check_ends_with_the_page_that_began_it(browser_page, server, session):
+    page = browser_page
+    check(page, server, "left")
+    drive = session.loop.devices.drive
+    await_true(lambda: drive.moving, "the head to move", PATIENCE)
+    page.goto("about:blank")
+    await_true(lambda: not session.running, "the check to end", PATIENCE)
+    assert re.fullmatch(r"the page has not answered for [0-9.]+ s", session.trouble)
+    assert not drive.moving
+    page.goto(server.home + "bench")
+    assert session.trouble in page.inner_text("#problems")
+    assert page.locator("[data-post]").count() == 0
+
+
 def test_a_fault_of_the_form_is_shown_at_its_field(browser_page, server, faults):
     page = browser_page
     page.expected_problems = ["422"]

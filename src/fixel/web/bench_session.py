@@ -21,6 +21,7 @@ class BenchSession:
     def __init__(self) -> None:
         self.view = LiveView()
         self.loop: BenchLoop | None = None  # None before the first campaign
+        self.running = False  # whether a campaign is performed now
         self._alive = time.monotonic()
         self._ready = threading.Event()
         self._thread: threading.Thread | None = None
@@ -32,28 +33,25 @@ class BenchSession:
         """Why the campaign could not be opened, or ended early; empty otherwise."""
         return "" if self._failure is None else str(self._failure)
 
-    @property
-    def running(self) -> bool:
-        """Whether a campaign is performed now."""
-        return self._thread is not None and self._thread.is_alive()
-
-    def start(self, opened: AbstractContextManager[BenchLoop]) -> BenchLoop:
+    def start(self, opened: AbstractContextManager[BenchLoop], by: str = "key") -> BenchLoop:
         """Open the devices and begin the campaign in a thread; return when they are open.
 
-        Raise `JobRefused` if a campaign is performed already, and what opening raises.
+        It is begun by a `key` or a `page`. Raise `JobRefused` if a campaign is performed already,
+        and what opening raises.
         """
         if self.running:
             raise JobRefused("a campaign is running already", hint="end it first")
         self._forget()
+        self.running = True
         shown = self.view.newest.number
-        self._thread = threading.Thread(target=self._run, args=(opened,), name="fixel-bench")
+        self._thread = threading.Thread(target=self._run, args=(opened, by), name="fixel-bench")
         self._thread.start()
         self._ready.wait()
         if self._failure is not None:
             self._thread.join()
         self.raise_failure()
         assert self.loop is not None
-        while self._thread.is_alive() and self.view.newest.number == shown:
+        while self.running and self.view.newest.number == shown:
             time.sleep(GLANCE)  # else a page would find no status, or that of the campaign before
         return self.loop
 
@@ -63,22 +61,24 @@ class BenchSession:
         self._closed = False
         self._ready.clear()
 
-    def _run(self, opened: AbstractContextManager[BenchLoop]) -> None:
+    def _run(self, opened: AbstractContextManager[BenchLoop], by: str) -> None:
         try:
             with opened as loop:
                 self.loop = loop
-                loop.show, loop.page_left = self.view.show, self._left
+                loop.show, loop.page_left, loop.begun_by = self.view.show, self._left, by
+                self.alive()
                 self._ready.set()
                 if not self._closed:
                     loop.run()
         except BaseException as failure:
             named = machine_failure(failure) if isinstance(failure, OSError) else None
             self._failure = named or failure
-            self.view.repeat()
             if not isinstance(self._failure, FixelError):
                 raise
         finally:
+            self.running = False
             self._ready.set()
+            self.view.repeat()  # without buttons, which nothing answers from now on
 
     def raise_failure(self) -> None:
         """Raise the error that ended the campaign, if there is one."""

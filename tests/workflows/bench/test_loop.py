@@ -321,6 +321,28 @@ def test_a_lost_camera_stops_the_push_and_is_opened_again(bench, monkeypatch):
         hand.place()
 
 
+def test_a_camera_that_stays_lost_is_the_trouble_after_each_try(bench, monkeypatch):
+    """The second try said that the drive was stopped."""
+
+    def broken():
+        raise DeviceFailed("no such camera")
+
+    with operated(bench) as (loop, hand):
+        hand.place()
+        loop.ask("push")
+        until(lambda: hand.now()["phase"] == "pushing" and loop.devices.drive.moving)
+        with monkeypatch.context() as lost:
+            lost.setattr(loop.devices.laboratory, "advance", broken)
+            until(lambda: hand.now()["phase"] == "trouble")
+            said = len(hand.statuses)
+            loop.ask("again")
+            until(lambda: "moving" in [own["phase"] for own in hand.statuses[said:]])
+            until(lambda: hand.now()["phase"] == "trouble")
+            assert "no such camera" in hand.now()["problems"][0]
+        loop.ask("again")
+        hand.place()
+
+
 def test_an_attempt_with_a_fault_waits_for_a_decision(bench, monkeypatch):
     real = BenchLoop._tracked
 

@@ -50,7 +50,8 @@ def start(
         texts = {name: texts_of(BENCH, name, own) for name, own in fields.items()}
         asked = BENCH.from_texts(texts)
         plan = {"plan": context.project.folder / chosen} if chosen else {}
-        context.bench.start(BENCH.function(context.project, **BENCH.arguments(asked) | plan))
+        opened = BENCH.function(context.project, **BENCH.arguments(asked) | plan)
+        context.bench.start(opened, by="page")
     except FixelError as error:
         return _form(context, texts, error, chosen)
     return PATH

@@ -23,6 +23,7 @@ from fixel.formats.scene_file import SceneFile, load_scene, save_scene
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
+from fixel.table import Table
 from fixel.testbed.recorder import (
     Recorder,
     RecordingStatus,
@@ -34,7 +35,7 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import Frame, Picture
 from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance, draw_look, frames_of
 from fixel.workflows.acquisition.record import codec_for
-from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, measure_bench
+from fixel.workflows.bench.acceptance import BenchFigure, BenchRun, figure_table, measure_bench
 from fixel.workflows.bench.campaign import Attempt, Campaign
 from fixel.workflows.bench.devices import NO_ZERO, BenchDevices
 from fixel.workflows.bench.estimates import LiveAnswer, estimate_rows
@@ -130,6 +131,7 @@ class BenchLoop:
         self.show: Show | None = None
         # Returns why the page that asked for a push is lost; empty while it is there.
         self.page_left: Callable[[], str] = lambda: ""
+        self.begun_by = "key"  # or `page`, which must stay there during a check of the bench
         rig = self.devices.rig
         self._allowed = Tolerance(
             distance=self.tolerance or rig.position_tolerance,
@@ -399,10 +401,12 @@ class BenchLoop:
         self._begin_row(campaign.rows[0])
         assert self._overlay is not None
         self._pushing.set()
+        self._report("moving")  # every key stops it, and its page gives signs of life
         try:
             self.figures = measure_bench(
-                self.devices, self._overlay, done, lambda *how: self._moved(how[0], "key", *how[1:])
-            )
+                self.devices, self._overlay, done,
+                lambda way, *seen: self._moved(way, self.begun_by, *seen),
+            )  # fmt: skip
         finally:
             self._pushing.clear()
             self._begin_row(None)
@@ -510,6 +514,8 @@ class BenchLoop:
             except BaseException:
                 self.stop("the program was interrupted")
                 raise
+            if self._stop_reason and isinstance(moving.exception(), FixelError):
+                raise DeviceFailed(self._stop_reason)
             moving.result()
 
     def _refuse_stopped(self) -> None:
@@ -670,10 +676,10 @@ class BenchLoop:
             "attempts": [
                 own._asdict() | {"name": own.name} for own in [*campaign.attempts.values()][-SHOWN:]
             ],
+            "figures": _columns_and_rows(figure_table(self.figures)) if self.figures else None,
             "estimates": live
-            and {
-                "columns": [column.head for column in live.table.columns],
-                "rows": live.table.rows,
+            and _columns_and_rows(live.table)
+            | {
                 "words": live.words,
                 "seconds": round(live.seconds, 2),
                 "experiments": len(live.estimates.held_out),
@@ -683,3 +689,8 @@ class BenchLoop:
         }
         if self.show is not None:
             self.show(draw, status)
+
+
+def _columns_and_rows(table: Table) -> dict[str, Any]:
+    """Return a table for a status."""
+    return {"columns": [column.head for column in table.columns], "rows": table.rows}
