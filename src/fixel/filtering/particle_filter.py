@@ -34,6 +34,7 @@ from fixel.model.fields import (
     whole,
 )
 from fixel.model.parameters import info_of
+from fixel.model.shape import length_scale
 from fixel.simulation import AbstractMotionModel, FirstOrder, QuasiStatic
 from fixel.typing import BoolArray, FloatArray
 
@@ -52,8 +53,8 @@ class ParticleFilter:
         docs/how-to/filtering.md for what that means for intervals.
     priors : mapping from name to (low, high) or None
         Uniform beliefs about parameters, instead of those of `DEFAULT_PRIORS`: friction of support
-        and pusher 0.1 to 1, of fixels 0.2 to 0.5, tripod radius 10 to 100 mm. None leaves a
-        parameter at the scene's value.
+        and pusher 0.1 to 1, of fixels 0.2 to 0.5, tripod radius 10 to 100 mm, less for parts below
+        16 mm. None leaves a parameter at the scene's value.
     start_position_deviation, start_angle_deviation : float
         Spread of the start pose, in either coordinate [m] and in angle [rad]; as much as the
         camera's own, by which it is mostly known.
@@ -101,6 +102,13 @@ class ParticleFilter:
             found = type(self.motion).__name__
             raise InvalidInput("filter.motion", found=found, expected=expected)
         settle(self, priors=MappingProxyType(checked_priors(self.priors)))
+
+
+def usual_lengths(scene: Scene | None) -> dict[str, float]:
+    """Return usual lengths of options for the part of a scene, shorter for a small one."""
+    scale = 1.0 if scene is None else length_scale(scene.bodies[0].shape)
+    names = "start_position_deviation", "position_deviation", "touch_gap"
+    return {name: scale * getattr(ParticleFilter(), name) for name in names}
 
 
 # Uniform between these, as in the laboratory's own filter [-, -, -, m].
@@ -222,6 +230,10 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
     that change nothing in the scene are left out; a given prior that changes nothing is refused.
     """
     chosen = {**DEFAULT_PRIORS, **priors}
+    if "tripod_radius" not in priors:
+        scale = length_scale(scene.bodies[0].shape)
+        low, high = DEFAULT_PRIORS["tripod_radius"]
+        chosen["tripod_radius"] = scale * low, scale * high
     idle = {name: reason for name, reason in _idle(scene).items() if name in chosen}
     for name in idle:
         if priors.get(name) is not None:

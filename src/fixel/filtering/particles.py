@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.filtering.particle_filter import ParticleFilter, Unknowns
 from fixel.kernels.gap import measure_gaps
 from fixel.model import Scene, wrapped
+from fixel.model.shape import length_scale
 from fixel.model.trajectory import pose_difference
 from fixel.simulation import Newton, StewartTrinkle
 from fixel.simulation.batch import simulate_packed
@@ -116,6 +117,7 @@ class Mechanics:
         body = scene.bodies[0]
         self._reach = float(np.hypot(*(body.shape.outline - body.shape.centroid).T).max())
         self._stride = STRIDE * self._reach
+        self._scale = length_scale(body.shape)
         motion, stepper = options.motion, StewartTrinkle(step=FRAME)
         self._method = method_of(motion, stepper, Newton(), MOST_CONTACTS)
         self._template = Template(scene, motion, stepper)
@@ -171,7 +173,7 @@ class Mechanics:
                 back = (sight.time - sight.seen_at) / (time[k] - time[k - 1])
             behind = back * (particles.pose - before)
             before = particles.pose
-            model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
+            model = np.column_stack((self._scale * walk, walk / LEVER)) ** 2 / FRAME
             pusher = np.where(particles.pushed[:, None], shake, 0.0)
             particles.variance = particles.variance + (time[k] - time[k - 1]) * (model + pusher)
             self._weigh(particles, sight, behind)

@@ -16,6 +16,7 @@ from fixel.filtering.head_path import smoothed
 from fixel.filtering.particle_filter import ParticleFilter, UniformPrior
 from fixel.filtering.running import FilterEstimate, FilterFrame, RunningFilter, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error, wrapped
+from fixel.model.shape import length_scale
 from fixel.results import Result, Summary
 from fixel.simulation import StewartTrinkle, simulate_batch
 from fixel.simulation.rollouts import RolloutCase
@@ -442,7 +443,8 @@ def misfit_of(
     moments = track.time[1:] - track.time[0]
     duration = float(moments[-1])
     way = float(np.sum(np.hypot(*np.diff(waypoints[:, 1:3], axis=0).T)))
-    steps = max(len(moments), math.ceil(way / STEP))
+    step = length_scale(running.scene.bodies[0].shape) * STEP
+    steps = max(len(moments), math.ceil(way / step))
     result = simulate_batch(
         running.scene,
         running.prior.columns(drawn) or None,

@@ -27,6 +27,10 @@ COINCIDENT = 1e-12
 # [m] Limits of the size of shapes; far beyond, squares and products leave the range of float64.
 SMALLEST, LARGEST = 1e-12, 1e12
 
+# [m] Distances of the outline from the centroid: lengths that suit parts of usual size also suit
+# those from `USUAL` on; for parts below 3 mm they are scaled as from a part of `TYPICAL`.
+USUAL, TYPICAL = 8e-3, 50e-3
+
 # Corners of the polygon that represents a disk in drawings.
 DRAWN_CORNERS = 64
 
@@ -279,6 +283,15 @@ def rotated(points: FloatArray, angle: FloatArray) -> FloatArray:
     """Rotate points (..., 2 or more) about the origin by angles (...) [rad]."""
     c, s, x, y = np.cos(angle), np.sin(angle), points[..., 0], points[..., 1]
     return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+
+
+def length_scale(shape: Shape) -> float:
+    """Return the factor by which usual lengths, such as noise of cameras, suit a small part.
+
+    It is 1 for parts of usual size, and proportional to the size of parts below 3 mm.
+    """
+    reach = float(np.hypot(*(shape.outline - shape.centroid).T).max())
+    return min(1.0, max(reach / TYPICAL, (reach / USUAL) ** 3))
 
 
 def _simple_outline(given: FloatArray) -> FloatArray:

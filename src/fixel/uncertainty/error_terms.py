@@ -26,6 +26,7 @@ from fixel.calibration.objective import ANGLE_SCALE
 from fixel.errors import InvalidInput, check_name
 from fixel.model.fields import Value, check_fields, non_negative, positive, whole
 from fixel.model.goals import length
+from fixel.model.shape import Shape, length_scale
 from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
@@ -174,6 +175,16 @@ class ModelError:
     def transform(self, unit: FloatArray) -> FloatArray:
         """Return the standard deviations at probabilities (k,) in [0, 1] [m]."""
         return np.asarray(self.low * (self.high / self.low) ** np.asarray(unit, np.float64))
+
+    @classmethod
+    def usual(cls, shape: Shape) -> ModelError:
+        """Return the usual prior for a part, with shorter lengths for small ones."""
+        scale = length_scale(shape)
+        return cls(
+            low=scale * MIN_DISCREPANCY,
+            high=scale * MAX_DISCREPANCY,
+            angle_scale=scale * ANGLE_SCALE,
+        )
 
     @property
     def sides(self) -> FloatArray:

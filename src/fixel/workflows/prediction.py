@@ -230,7 +230,7 @@ def _repetition(
     posterior = posterior.under(push.conditions)
     error = None if model_error is False else posterior.model_error
     if not isinstance(model_error, bool | None):
-        error = ModelError()
+        error = ModelError.usual(push.scene.bodies[0].shape)
         tau = np.full((len(posterior.points), 1), non_negative(model_error, "model_error", "m"))
         posterior = replace(posterior, points=np.hstack((posterior.points, tau)))
     elif model_error and error is None:
@@ -255,7 +255,8 @@ def _drift(
     motion [m], of which the instants may be the beginning."""
     if tau is None:
         return None
-    scene, way, error = push.scene, found.nominal, ModelError()
+    scene, way = push.scene, found.nominal
+    error = ModelError.usual(scene.bodies[0].shape)
     if found.time[-1] < scene.duration * (1.0 - 1e-9):
         values = {name: best.get(name, np.mean(x)) for name, x in found.parameters.items()}
         how: Any = {"motion": push.motion, "stepper": push.stepper, "values": values}

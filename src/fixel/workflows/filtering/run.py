@@ -86,7 +86,7 @@ def filter(
     >>> sorted(found.parameters)
     ['mu_fixel', 'mu_pusher', 'mu_support', 'tripod_radius']
     """
-    from fixel.filtering.particle_filter import ParticleFilter
+    from fixel.filtering.particle_filter import ParticleFilter, usual_lengths
     from fixel.filtering.recorded import run_filter
     from fixel.model import Experiment
     from fixel.model.fields import instance, whole
@@ -97,6 +97,7 @@ def filter(
     if options is None:
         whole(particles, "particles", 2)
         own: dict[str, Any] = {} if motion is None else {"motion": motion_model(motion)}
+        own |= usual_lengths(experiment.scene)
         options = ParticleFilter(n_particles=particles, priors=priors or {}, threads=threads, **own)
     with show_progress(progress, "filtering") as report:
         return run_filter(

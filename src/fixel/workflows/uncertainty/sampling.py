@@ -114,7 +114,7 @@ def sample(
     """
     check_noise(noise)
     members, used = list(range(n_used)), comparer.targets[:n_used]
-    usual = ModelError() if model_error else None
+    usual = ModelError.usual(used[0].case.scene.bodies[0].shape) if model_error else None
     own = model_error if isinstance(model_error, ModelError) else usual
     with show_progress(progress, "sampling") as report:
         residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)

@@ -1,0 +1,80 @@
+"""Results of a laboratory for parts of a millimetre: those of parts of ten centimetres, scaled."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fixel
+from fixel.model.shape import length_scale
+from fixel.uncertainty.error_terms import ModelError
+from fixel.units import deg, mm
+
+# Radius of the tripod in the smaller laboratory, in which a peg of 1.7 mm is seen to 2 um.
+RADIUS = 0.42 * mm
+
+
+def scene(scale, radius):
+    peg = fixel.Polygon.rectangle(scale * 0.85 * mm, scale * 1.66 * mm)
+    support = fixel.Tripod(radius=scale * radius, friction=0.25)
+    tip = fixel.Pusher("tip", fixel.Disk(scale * 0.1 * mm), friction=0.22)
+    return fixel.Scene(fixel.Body("peg", peg, mass=2e-6 * scale**3, support=support), tip)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Time, noisy poses of the peg and poses of the tip, of a push past its centre, at scale 1."""
+    peg, tip = scene(1.0, RADIUS).bodies[0], fixel.Disk(0.1 * mm)
+    drive = fixel.LineDrive(direction=(1.0, 0.05), speed=0.2 * mm, travel=0.8 * mm)
+    pusher = fixel.Pusher(
+        "tip", tip, friction=0.22, pose=(-0.575 * mm, -0.2 * mm, 0.0), drive=drive
+    )
+    run = fixel.simulate(fixel.Scene(peg, pusher, duration=4.0), motion="quasistatic")
+    time = np.linspace(0.0, 4.0, 41)
+    noise = np.random.default_rng(1).standard_normal((41, 3)) * [2e-6, 2e-6, 0.15 * deg]
+    return time, run["peg"].at(time) + noise, run["tip"].at(time)
+
+
+def pushed(measured, scale):
+    """Experiment of the same push in a laboratory that is larger by a factor."""
+    time, peg, tip = measured
+    table = {"time_s": time, "x_m": scale * peg[:, 0], "y_m": scale * peg[:, 1]}
+    table |= {"theta_rad": peg[:, 2]}
+    table |= {"pusher_x_m": scale * tip[:, 0], "pusher_y_m": scale * tip[:, 1]}
+    return fixel.read_experiments(table, scene=scene(scale, 0.3 * mm))[0]
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+def test_a_filter_learns_the_same_of_small_and_large_parts(measured, scale):
+    found = fixel.filter(pushed(measured, scale), motion="quasistatic", progress=False)
+    k = found.prior.names.index("tripod_radius")
+    assert found.excited["tripod_radius"]
+    assert_allclose(found.mean[-1, k], scale * RADIUS, rtol=0.15)
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.0, 100.0])
+def test_a_posterior_predicts_small_parts_as_narrowly_as_large_ones(measured, scale):
+    push = pushed(measured, scale)
+    found = fixel.posterior(
+        push, ["tripod_radius"], motion="quasistatic", samples=50, progress=False
+    )
+    low, high = np.quantile(fixel.predict(push, found, samples=200).ends, [0.05, 0.95], axis=0)
+    # 90 % intervals of the ends hold little but the camera's noise.
+    assert np.all((high - low)[:2] < scale * 20e-6)
+    assert (high - low)[2] < 2.0 * deg
+
+
+@pytest.mark.parametrize("size", [20 * mm, 60 * mm, 200 * mm])
+def test_lengths_of_usual_parts_are_not_scaled(size):
+    assert length_scale(fixel.Disk(size / 2.0)) == 1.0
+    assert ModelError.usual(fixel.Polygon.rectangle(size, 0.1 * size)) == ModelError()
+
+
+def test_lengths_of_small_parts_are_proportional_to_them():
+    one, other = (ModelError.usual(fixel.Disk(radius)) for radius in (1 * mm, 0.05 * mm))
+    assert_allclose(
+        [one.low, one.high, one.angle_scale],
+        20.0 * np.array([other.low, other.high, other.angle_scale]),
+    )
+    radii = np.geomspace(0.1 * mm, 50 * mm, 500)
+    scales = [length_scale(fixel.Disk(radius)) for radius in radii]
+    assert np.all(np.diff(scales) >= 0.0)
