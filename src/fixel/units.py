@@ -22,6 +22,8 @@ mrad: Final = 1e-3  # [rad]
 ms: Final = 1e-3  # [s]
 g: Final = 1e-3  # [kg]
 
+MICRO: Final = 3e-3  # [m], radius of parts below which lengths are shown in micrometres
+
 # Units for display instead of SI units, and the factor from SI.
 _DISPLAYED: Final[Mapping[str, tuple[str, float]]] = {
     "m": ("mm", 1e3),
@@ -57,6 +59,11 @@ def displayed(unit: str) -> DisplayUnit:
     """Return the unit in which people read values of an SI unit, such as mm and deg."""
     name, factor = _DISPLAYED.get(unit, (unit, 1.0))
     return DisplayUnit(unit_text(name), factor)
+
+
+def length_unit(reach: float) -> tuple[str, float]:
+    """Return the unit for displaying lengths of a part of some radius [m], and its size [m]."""
+    return ("um", um) if 0.0 < reach < MICRO else ("mm", mm)
 
 
 def unit_text(unit: str) -> str:

@@ -78,3 +78,16 @@ def test_lengths_of_small_parts_are_proportional_to_them():
     radii = np.geomspace(0.1 * mm, 50 * mm, 500)
     scales = [length_scale(fixel.Disk(radius)) for radius in radii]
     assert np.all(np.diff(scales) >= 0.0)
+
+
+def test_experiments_and_predictions_show_small_parts_in_micrometres(measured):
+    small, large = (pushed(measured, scale) for scale in (1.0, 100.0))
+    start = fixel.StartError(x=2e-6, y=2e-6, theta=0.1 * deg, kind="normal")
+    found = fixel.predict(small, start=start, motion="quasistatic", samples=10)
+    for shown in (small, found):
+        assert "x [um]" in repr(shown)
+    assert "x [mm]" in repr(large)
+    assert "moved [um]" in repr(fixel.Experiments.of([small]))
+    assert "moved [mm]" in repr(fixel.Experiments.of([large]))
+    end = [line.split()[1] for line in repr(small).splitlines() if line.split()[0] == "end"]
+    assert end == [f"{1e6 * small.trajectory.pose[-1, 0]:.2f}"]

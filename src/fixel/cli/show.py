@@ -97,9 +97,9 @@ def _frames(experiment: "Experiment") -> list[str]:
 
 
 def _poses(experiment: "Experiment") -> list[str]:
-    from fixel.workflows.project.compare import length_unit, travelled
+    from fixel.workflows.project.compare import travelled
 
-    unit, metre = length_unit(experiment)
+    unit, metre = experiment.length_unit
     rows = []
     for name, row in (("start", 0), ("end", -1)):
         x, y, angle = experiment.trajectory.pose[row].tolist()

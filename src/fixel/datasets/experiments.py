@@ -19,6 +19,7 @@ from fixel.model.records import SimulationRecord
 from fixel.model.scene import SceneChoice
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
+from fixel.units import length_unit
 
 MAX_LISTED = 20  # experiments that a summary lists
 
@@ -303,16 +304,18 @@ class Experiments(Result, Sequence[Experiment]):
     def _listed(self) -> Table:
         """Table of the first experiments; all of them would take long."""
         with_error = any(entry.details.error_mm2 is not None for entry in self.entries)
+        listed = self.entries[:MAX_LISTED]
+        unit, metre = length_unit(max((row.moved_m for row, _, _ in listed), default=0.0))
         rows = [
             (
-                *(row.key, row.n_frame, row.duration_s, 1e3 * row.moved_m),
+                *(row.key, row.n_frame, row.duration_s, row.moved_m / metre),
                 degrees(row.turned_rad),
                 *([_root(details.error_mm2)] if with_error else []),
             )
-            for row, details, _ in self.entries[:MAX_LISTED]
+            for row, details, _ in listed
         ]
         columns = [Column("name"), Column("frames"), Column("duration", "s", ".2f")]
-        columns += [Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f")]
+        columns += [Column("moved", unit, ".1f"), Column("turned", "deg", ".1f")]
         columns += [Column("error", "mm", ".2f")] if with_error else []
         return Table(columns, rows)
 

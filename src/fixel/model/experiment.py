@@ -22,6 +22,7 @@ from fixel.registry import offered
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
+from fixel.units import length_unit
 
 # Units of a channel's columns. The name of a column ends with its unit: `fx_n`.
 UNITS: Final[Mapping[str, str]] = MappingProxyType(
@@ -313,14 +314,26 @@ class Experiment(Comparable, Result):
         found = offered("methods", "compare")(self, {"model": model}, progress=False, **options)
         return found.rows[0].run.simulation
 
+    @property
+    def length_unit(self) -> tuple[str, float]:
+        """Unit for displaying lengths, and its size [m]: micrometres for small parts.
+
+        The size of a part without an outline is that of its displacement.
+        """
+        reach = float(np.ptp(self.trajectory.pose[:, :2], axis=0).max())
+        if self.scene is not None:
+            own = [body for body in self.scene.bodies if body.name == self.object_name]
+            reach = max(float(np.hypot(*np.asarray(one.shape.outline).T).max()) for one in own)
+        return length_unit(reach)
+
     def _summary(self) -> Summary:
         kind = "real" if self.real else f"simulated by {self.simulated_by}"
-        n = len(self.trajectory.time)
+        n, (unit, metre) = len(self.trajectory.time), self.length_unit
         rows = [
-            (end, *(1e3 * pose[:2]).tolist(), degrees(pose[2]))
+            (end, *(pose[:2] / metre).tolist(), degrees(pose[2]))
             for end, pose in zip(("start", "end"), self.trajectory.pose[[0, -1]], strict=True)
         ]
-        place = (Column("x", "mm", ".2f"), Column("y", "mm", ".2f"))
+        place = (Column("x", unit, ".2f"), Column("y", unit, ".2f"))
         table = Table((self.object_name, *place, Column("angle", "deg", ".2f")), rows)
         values = (
             f"{name}={value if isinstance(value, str) else format(value + 0.0, '.6g')}"

@@ -28,6 +28,7 @@ from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.error_terms import StartError
 from fixel.uncertainty.predictive import CalibratedModel
+from fixel.units import length_unit
 
 
 class Push(NamedTuple):
@@ -276,7 +277,9 @@ class Prediction(Result):
 
     def _summary(self) -> Summary:
         ends, n = self.ends, len(self.ended)
-        units = (("x", "mm", 1e3), ("y", "mm", 1e3), ("theta", "deg", math.degrees(1.0)))
+        own, metre = length_unit(self.scene.bodies[0].shape.radius)
+        factors = 1.0 / metre, 1.0 / metre, math.degrees(1.0)
+        units = zip(("x", "y", "theta"), (own, own, "deg"), factors, strict=True)
         low, middle, high = (
             np.quantile(ends, SHARES, axis=0) if len(ends) else np.full((3, 3), np.nan)
         )

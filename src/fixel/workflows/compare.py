@@ -208,11 +208,9 @@ def _modes(by: str, run: PathComparison | None) -> list[str]:
 
 
 def _tables(found: StoredComparison) -> Iterator[Table]:
-    from fixel.workflows.project.compare import length_unit
-
     values = {} if found.run is None else found.run.parameters
     yield Table(("parameter", Column("value", format=".6g")), list(values.items()))
-    unit, metre = length_unit(found.experiment)
+    unit, metre = found.experiment.length_unit
     every = {"fixel": found.run, "the publisher of the data": found.published}
     shown = [(name, run) for name, run in every.items() if run is not None and run.complete]
     rows = [

@@ -19,7 +19,6 @@ from fixel.testbed.imperfections import touching
 from fixel.typing import FloatArray
 
 SAMPLES: Final = 200  # samples of a simulation, for an experiment with few poses
-MICRO: Final = 3e-3  # [m], radius of objects below which lengths are shown in micrometres
 NOISE: Final = 1e-3  # [m], shortest stride that counts in the length of a path
 
 
@@ -257,21 +256,6 @@ def summary(experiment: Experiment) -> dict[str, Any]:
 def frame_rate(track: Trajectory) -> float | None:
     """Frames per second [Hz], counting lost ones; None for start and end alone."""
     return float(1.0 / np.median(np.diff(track.time))) if len(track.time) > 2 else None
-
-
-def length_unit(experiment: Experiment) -> tuple[str, float]:
-    """Return the unit for displaying an experiment's lengths, and its size [m].
-
-    Micrometres for objects below `MICRO`; judged by the displacement if the outline is unknown.
-    """
-    reach = float(np.ptp(experiment.trajectory.pose[:, :2], axis=0).max())
-    if experiment.scene is not None:
-        reach = max(
-            float(np.hypot(*np.asarray(body.shape.outline).T).max())
-            for body in experiment.scene.bodies
-            if body.name == experiment.object_name
-        )
-    return ("um", 1e-6) if 0.0 < reach < MICRO else ("mm", 1e-3)
 
 
 def travelled(track: Trajectory, noise: float = NOISE) -> float:
