@@ -1,5 +1,6 @@
 """Results of a laboratory for parts of a millimetre: those of parts of ten centimetres, scaled."""
 
+import matplotlib.pyplot
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -91,3 +92,12 @@ def test_experiments_and_predictions_show_small_parts_in_micrometres(measured):
     assert "moved [mm]" in repr(fixel.Experiments.of([large]))
     end = [line.split()[1] for line in repr(small).splitlines() if line.split()[0] == "end"]
     assert end == [f"{1e6 * small.trajectory.pose[-1, 0]:.2f}"]
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+def test_the_picture_of_a_small_part_is_filled_by_its_push(measured, scale):
+    figure = pushed(measured, scale).plot()[0].figure
+    view = figure.axes[0]
+    # The tip and the turned part cover 2.5 mm by 1.7 mm, times the scale [mm].
+    assert np.ptp(view.get_ylim()) < scale * 5.0
+    matplotlib.pyplot.close(figure)

@@ -13,6 +13,7 @@ from fixel.cli.capability import command
 from fixel.errors import InvalidInput, counted, plain
 from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table, shortened
+from fixel.units import length_unit
 
 if TYPE_CHECKING:
     from fixel.database.project import AddSummary, Project
@@ -225,11 +226,12 @@ def _next(listing: "ExperimentPage", folder: Path, deleted: bool) -> str:
 
 
 def _listed(listing: "ExperimentPage") -> list[str]:
+    unit, metre = length_unit(max((row.moved_m for row in listing.rows), default=0.0))
     columns = (
         *("id", "experiment", "", "frames", Column("time", "s", ".2f")),
-        *(Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f"), "contacts"),
+        *(Column("moved", unit, ".1f"), Column("turned", "deg", ".1f"), "contacts"),
     )
-    rows = [_row(row) for row in listing.rows]
+    rows = [_row(row, metre) for row in listing.rows]
     lines = Table(columns, rows, left=3).lines() if rows else []
     more = listing.total - len(rows)
     lines.append(counted(listing.total, "experiment") + (f", {more} not shown" if more else ""))
@@ -240,14 +242,14 @@ def _listed(listing: "ExperimentPage") -> list[str]:
     return lines
 
 
-def _row(row: "ExperimentRow") -> tuple[str | float, ...]:
+def _row(row: "ExperimentRow", metre: float) -> tuple[str | float, ...]:
     return (
         row.id,
         row.key,
         "" if row.is_real else "SIMULATED",
         row.n_frame,
         row.duration_s,
-        1e3 * row.moved_m,
+        row.moved_m / metre,
         degrees(row.turned_rad),
         row.contact_mode,
     )

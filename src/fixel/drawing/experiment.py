@@ -186,7 +186,8 @@ def _extent(experiment: Experiment, *tracks: Trajectory) -> Rectangle:
     ]
     if experiment.pusher is not None:
         corners += top_view.swept_points(_pusher_shape(experiment), experiment.pusher.pose)
-    return top_view.extent_of(corners, () if experiment.scene is None else experiment.scene.fixels)
+    fixels = () if experiment.scene is None else experiment.scene.fixels
+    return top_view.extent_of(corners, fixels, _shape(experiment))
 
 
 def _draw_pusher(axes: Axes, experiment: Experiment) -> list[Artist]:

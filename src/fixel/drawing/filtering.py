@@ -46,7 +46,7 @@ def filter_figure(estimates: FilterRun) -> Figure:
         corners += top_view.swept_points(scene.bodies[0].shape, track.pose)
     names, n_fixel = estimates.prior.names, estimates.touch.shape[1]
     page = top_view.column_page(
-        top_view.extent_of(corners, scene.fixels),
+        top_view.extent_of(corners, scene.fixels, scene.bodies[0].shape),
         ("x [mm]", "y [mm]", "θ [deg]", *(LABELS.get(name, name) for name in names)),
         [top_view.PANEL] * 3 + [FLAT * top_view.PANEL] * len(names),
         [f.name for f in scene.fixels][:n_fixel],

@@ -120,10 +120,16 @@ def swept_points(shape: Shape | None, poses: FloatArray) -> list[FloatArray]:
     return [placed(shape.outline, pose) for pose in poses[evenly(len(poses), MAX_OUTLINES)]]
 
 
-def extent_of(corners: Iterable[FloatArray], fixels: Sequence[Fixel] = ()) -> Rectangle:
-    """Return the extent of outlines and fixels [m], with a margin and room for their names."""
+def extent_of(
+    corners: Iterable[FloatArray], fixels: Sequence[Fixel] = (), shape: Shape | None = None
+) -> Rectangle:
+    """Return the extent of outlines and fixels [m], with a margin and room for their names.
+
+    It is at least `MIN_SIDE`, or half the radius of a small `shape`.
+    """
+    least = MIN_SIDE if shape is None else min(MIN_SIDE, 0.5 * shape.radius)
     points = np.concatenate([*corners, *(placed(f.shape.outline, f.pose) for f in fixels)])
-    box = Rectangle.around(points, MIN_SIDE).widened(MARGIN)
+    box = Rectangle.around(points, least).widened(MARGIN)
     per_inch = (box.x[1] - box.x[0]) / WIDTH
     ends = [
         float(f.pose[0]) + f.shape.radius + (LETTER * len(f.name) + 0.1) * per_inch
