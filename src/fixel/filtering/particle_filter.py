@@ -229,11 +229,9 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
     Given priors replace `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults
     that change nothing in the scene are left out; a given prior that changes nothing is refused.
     """
-    chosen = {**DEFAULT_PRIORS, **priors}
-    if "tripod_radius" not in priors:
-        scale = length_scale(scene.bodies[0].shape)
-        low, high = DEFAULT_PRIORS["tripod_radius"]
-        chosen["tripod_radius"] = scale * low, scale * high
+    scale = length_scale(scene.bodies[0].shape)
+    low, high = DEFAULT_PRIORS["tripod_radius"]
+    chosen = {**DEFAULT_PRIORS, "tripod_radius": (scale * low, scale * high), **priors}
     idle = {name: reason for name, reason in _idle(scene).items() if name in chosen}
     for name in idle:
         if priors.get(name) is not None:
