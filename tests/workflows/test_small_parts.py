@@ -101,3 +101,20 @@ def test_the_picture_of_a_small_part_is_filled_by_its_push(measured, scale):
     # The tip and the turned part cover 2.5 mm by 1.7 mm, times the scale [mm].
     assert np.ptp(view.get_ylim()) < scale * 5.0
     matplotlib.pyplot.close(figure)
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+def test_a_tip_inside_a_small_part_is_refused_as_in_a_large_one(measured, scale):
+    time, peg, tip = measured
+    inside = tip + np.array(
+        [0.2 * mm, 0.0, 0.0]
+    )  # an error of registration of 0.2 mm of a peg of 0.85 mm
+    with pytest.raises(fixel.InvalidInput, match="inside the object at the start"):
+        pushed((time, peg, inside), scale)
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+def test_a_small_part_that_moves_without_its_tip_is_named_as_a_large_one(measured, scale):
+    time, peg, tip = measured
+    away = tip - np.outer(time > 2.0, [1.5 * mm, 0.0, 0.0])  # 0.35 mm before the peg stops
+    assert "moved-alone" in [flag.name for flag in pushed((time, peg, away), scale).flags]

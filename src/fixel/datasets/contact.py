@@ -11,10 +11,11 @@ from fixel.datasets.base import remark, scene_or_flag
 from fixel.datasets.files import MM
 from fixel.model import Body, Disk, Flag, PathDrive, Pusher, Scene, Shape
 from fixel.model.overlap import gaps_and_normals
+from fixel.model.shape import length_scale
 from fixel.typing import FloatArray
 
-# Registration errors up to this depth are corrected by moving the pusher to contact; with larger
-# ones its position is unknown [m].
+# Registration errors up to this depth, less for small parts, are corrected by moving the pusher to
+# contact; with larger ones its position is unknown [m].
 MAX_CORRECTION: Final = 3e-3
 
 # Usual duration of the correction of a path that starts inside the object [s].
@@ -81,7 +82,7 @@ def pushed_scene(
         gaps, offsets = moved_to_contact(body.shape, tip.radius, body.pose[None], path[:1, 1:3])
         contact = float(gaps[0]), offsets[0]
     gap, offset = contact
-    if gap < -MAX_CORRECTION:
+    if gap < -length_scale(body.shape) * MAX_CORRECTION:
         detail = f"the {words[0]} starts {-gap / MM:.3g} mm inside the {words[1]}"
         return None, (remark("no-scene", detail),)
     waypoints = corrected_path(path, offset, fade)

@@ -17,8 +17,8 @@ from fixel.io.document import document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
 from fixel.model.scene import SceneChoice
-from fixel.model.shape import rotated
-from fixel.typing import FloatArray
+from fixel.model.shape import length_scale, rotated
+from fixel.typing import BoolArray, FloatArray
 
 # A pusher that stays farther from the object than this many radii of the object is in another unit
 # or frame.
@@ -230,14 +230,16 @@ def _driven(
         how = "overlaps the outline by up to" if least < 0.0 else "comes as near to the outline as"
         sentence += f"; its surface {how} {abs(least):.3g} mm"
         sentence += "." if first < 0.0 else f", and was {first:.3g} mm from it at the start."
-        if (deep := -float(np.quantile(gaps, OFTEN))) > contact.MAX_CORRECTION:
+        scale = length_scale(shape)
+        if (deep := -float(np.quantile(gaps, OFTEN))) > scale * contact.MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
             sentence += (
                 " It is often deep inside the object, so the experiment is flagged and "
                 "not listed by default."
             )
-        if (alone := _moved_alone(track.at(tip.time)[:, :2], gaps)) > ALONE:
-            detail = f"{1e3 * alone:.3g} mm while the pusher was more than {1e3 * ALONE:g} mm away"
+        far = scale * ALONE
+        if (alone := _moved_alone(track.at(tip.time)[:, :2], gaps > far)) > far:
+            detail = f"{1e3 * alone:.3g} mm while the pusher was more than {1e3 * far:.3g} mm away"
             flags = (*flags, Flag("moved-alone", detail, fault=False))
             sentence += f" The object moved {detail}: did it coast, or was it lifted?"
     else:
@@ -247,9 +249,8 @@ def _driven(
     return replace(pusher, pose=measured[0, 1:], drive=drive), flags, sentence
 
 
-def _moved_alone(place: FloatArray, gaps: FloatArray) -> float:
+def _moved_alone(place: FloatArray, far: BoolArray) -> float:
     """Largest distance [m] between positions (n, 2) during which the pusher stayed far away."""
-    far = gaps > ALONE
     spans = np.split(place, np.flatnonzero(far[1:] != far[:-1]) + 1)
     first = 0 if far[0] else 1  # spans with the pusher far away and near alternate
     return max((float(np.hypot(*(own[-1] - own[0]))) for own in spans[first::2]), default=0.0)
@@ -292,7 +293,7 @@ def _refuse_strangers(shape: Shape, gaps: FloatArray, source: str) -> None:
         "that outline and tip are in metres"
     )
     first, least = 1e3 * float(gaps[0]), 1e3 * float(gaps.min())
-    if gaps[0] < -contact.MAX_CORRECTION:
+    if gaps[0] < -length_scale(shape) * contact.MAX_CORRECTION:
         found = f"a pusher {-first:.3g} mm inside the object at the start"
         expected = "a pusher that touches it at most"
     elif float(gaps.min()) > FARTHEST * size:
