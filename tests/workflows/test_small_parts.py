@@ -6,7 +6,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fixel
+from fixel.calibration.target import target_of
 from fixel.model.shape import length_scale
+from fixel.parts.fit import PartPushes
+from fixel.parts.model import distinct
+from fixel.parts.table_check import equal_pushes
 from fixel.uncertainty.error_terms import ModelError
 from fixel.units import deg, mm
 
@@ -118,3 +122,13 @@ def test_a_small_part_that_moves_without_its_tip_is_named_as_a_large_one(measure
     time, peg, tip = measured
     away = tip - np.outer(time > 2.0, [1.5 * mm, 0.0, 0.0])  # 0.35 mm before the peg stops
     assert "moved-alone" in [flag.name for flag in pushed((time, peg, away), scale).flags]
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+@pytest.mark.parametrize(("apart", "equal"), [(0.01 * mm, True), (0.14 * mm, False)])
+def test_pushes_of_small_parts_are_equal_as_those_of_large_ones(measured, scale, apart, equal):
+    time, peg, tip = measured
+    shifted = time, peg, tip + np.array([0.0, apart, 0.0])
+    targets = [target_of(pushed(own, scale)) for own in (measured, shifted)]
+    assert len(equal_pushes(targets, "", "").pushes) == equal
+    assert distinct(PartPushes(targets)) == 2 - equal

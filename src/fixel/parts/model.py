@@ -18,6 +18,7 @@ from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput, counted
 from fixel.model import Experiment, Pose, Scene
 from fixel.model.fields import whole
+from fixel.model.shape import length_scale
 from fixel.parts import fit
 from fixel.parts.left_out import (
     MAX_TEST,
@@ -530,9 +531,9 @@ def distinct(pushes: fit.PartPushes) -> int:
     rows = pushes.in_frame(pushes.tip_start)
     way = pushes.in_frame(pushes.tip_end) - rows
     heading = np.arctan2(way[:, 1], way[:, 0])
-    kept: list[int] = []
+    kept, apart = list[int](), length_scale(pushes.body.shape) * SAME_PLACE
     for k in range(len(pushes)):
-        near = np.hypot(*(rows[kept] - rows[k]).T) < SAME_PLACE
+        near = np.hypot(*(rows[kept] - rows[k]).T) < apart
         turn = np.abs(np.angle(np.exp(1j * (heading[kept] - heading[k]))))
         if not (near & (turn < SAME_DIRECTION)).any():
             kept.append(k)

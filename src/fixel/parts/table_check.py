@@ -16,6 +16,7 @@ from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, counted
 from fixel.model import rotated, wrapped
+from fixel.model.shape import length_scale
 from fixel.model.trajectory import pose_difference
 from fixel.parts.model import SAME_DIRECTION, SAME_PLACE
 from fixel.results import Result, Summary
@@ -182,13 +183,17 @@ def equal_pushes(targets: Sequence[Target], part: str, session: str) -> EqualPus
     """Find the pairs among pushes of single parts, whose conditions name part and session."""
     columns = zip(*map(_in_part, targets), strict=True)
     start, motion, contact, heading, travel = map(np.array, columns)
-    outline = [own.case.scene.bodies[0].shape.outline.tobytes() for own in targets]
-    parts = [(own.conditions.get(part), what) for own, what in zip(targets, outline, strict=True)]
+    shapes = [own.case.scene.bodies[0].shape for own in targets]
+    outlines = [shape.outline.tobytes() for shape in shapes]
+    parts = [(own.conditions.get(part), what) for own, what in zip(targets, outlines, strict=True)]
+    scale = np.array([length_scale(shape) for shape in shapes])
     number = [[parts.index(own)] for own in parts]  # different parts are metres apart
-    near = cKDTree(np.hstack((contact, number))).query_pairs(SAME_PLACE, output_type="ndarray")
+    near = cKDTree(np.hstack((contact / scale[:, None], number))).query_pairs(
+        SAME_PLACE, output_type="ndarray"
+    )
     i, j = near.T
     equal = np.abs(wrapped(heading[i] - heading[j])) < SAME_DIRECTION
-    pushes = near[equal & (np.abs(travel[i] - travel[j]) < SAME_PLACE)]
+    pushes = near[equal & (np.abs(travel[i] - travel[j]) < scale[i] * SAME_PLACE)]
     i, j = pushes.T
     away, moved = pose_difference(motion[j], motion[i]), start[j] - start[i]
     sense = np.where(motion[i, 2] + motion[j, 2] < 0.0, -1.0, 1.0)
