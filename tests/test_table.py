@@ -106,3 +106,17 @@ def test_indented_cells_stay_indented_in_html():
     text = Table(("parameter", "value"), [("mu", 1), ("  noise alone", 2)]).html()
     assert '<th scope="row">mu</th>' in text
     assert '<th scope="row">&emsp;noise alone</th>' in text
+
+
+@pytest.mark.parametrize(
+    ("value", "format_", "shown"),
+    [
+        (-4e-4, ".3f", "0.000"), (-6e-4, ".3f", "-0.001"), (-0.0, ".3f", "0.000"),
+        (-0.4, ".0f", "0"), (-0.0, "", "0.0"), (-4e-4, "+.3f", "+0.000"), (4e-4, "+.3f", "+0.000"),
+        (-4e-9, ".2g", "-4e-09"),
+        (0, "d", "0"), (-10, "d", "-10"), (math.nan, ".3f", "nan"), ("-0.000", ".3f", "-0.000"),
+    ],
+)  # fmt: skip
+def test_what_rounds_to_zero_has_no_sign_of_its_own(value, format_, shown):
+    """A comparison printed an angle of -0.000 degrees."""
+    assert Column("angle", "deg", format_).text(value) == shown

@@ -45,7 +45,10 @@ class Column:
         """Format a value of this column for people; `-` for a missing one."""
         if value is None:
             return MISSING
-        return str(value) if isinstance(value, str) else format(value, self.format)
+        if isinstance(value, str):
+            return str(value)
+        text = format(value, self.format)
+        return text if text.strip("-0.") else format(abs(value), self.format)  # no "-0.000"
 
 
 @dataclass(init=False, slots=True)
