@@ -73,3 +73,14 @@ def test_the_tour_of_a_misfit_ends_in_a_report(tmp_path, capsys, monkeypatch):
     assert call("demo", "--misfit") == 0  # again, from what is there
     commands = [line.split()[1:] for line in out.splitlines() if line.startswith("  fixel domain")]
     assert [call(*command) for command in commands] == [0]
+
+
+@pytest.mark.parametrize("which", [[], ["--misfit"], ["--quick"], ["--camera"]])
+def test_a_file_is_no_folder_for_a_demo(tmp_path, capsys, which):
+    """It was named after pushes had been performed, and as a folder inside of itself."""
+    (tmp_path / "notes").write_text("mine")
+    assert call("demo", "--out", tmp_path / "notes", *which) == 2
+    said = "".join(capsys.readouterr())
+    assert f"--out: found the file {tmp_path / 'notes'}" in said
+    assert "performing" not in said
+    assert (tmp_path / "notes").read_text() == "mine"

@@ -63,6 +63,8 @@ def demo(
     if as_json and (misfit or quick or camera):
         expected = "no other demo: --misfit, --quick and --camera print text only"
         raise InvalidInput("--json", found="the option of another demo", expected=expected)
+    if out.exists() and not out.is_dir():
+        raise InvalidInput("--out", found=f"the file {out}", expected="a folder, also a new one")
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
