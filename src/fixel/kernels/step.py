@@ -25,7 +25,7 @@ PRESSED = 2.0  # and: by that of a contact
 BLOCKED = 3.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
 FAR = 3.0  # characteristic lengths: a body that reaches farther from its centre is long
-STILL = 1e-9  # velocity of a drive below which it does not slip
+STILL = 1e-9  # velocity of a drive below which it does not slip, change of one that counts as none
 # Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
 # its inverse.
 WEIGHT = at.HALVINGS
@@ -636,7 +636,9 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
             other = problem.contact_dof[i, 1]
             if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
                 continue
-            if (scratch[o + 2] == BLOCKED) != (scratch[other + 2] == BLOCKED):
+            blocked = o if scratch[o + 2] == BLOCKED else other
+            alone = (scratch[o + 2] == BLOCKED) != (scratch[other + 2] == BLOCKED)
+            if alone and scratch[blocked] > STILL:  # others slide along one that stays at rest
                 scratch[o + 2] = BLOCKED
                 scratch[other + 2] = BLOCKED
                 spreading = True

@@ -81,7 +81,7 @@ def confirm(
     solve(FIXED, again)
     gap = ends[FIXED] - final
     near = _compare(packed, gap / UNSURE)[2] & ~_compare(packed, gap)[2]
-    unsure = np.flatnonzero(near & (final.shape[1] == 1))  # heaps: too long, and rarely false
+    unsure = np.flatnonzero(near & (final.shape[1] <= 3))  # heaps: too long, and rarely false
     ends[FIXED, unsure] = final[unsure]
     for k in (FINER, MIDPOINT, FINEST):
         solve(k, unsure)
