@@ -77,7 +77,7 @@ def test_the_tour_of_a_misfit_ends_in_a_report(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize("which", [[], ["--misfit"], ["--quick"], ["--camera"]])
 def test_a_file_is_no_folder_for_a_demo(tmp_path, capsys, which):
-    """It was named after pushes had been performed, and as a folder inside of itself."""
+    """The file was named only after pushes had been performed, as a folder inside of itself."""
     (tmp_path / "notes").write_text("mine")
     assert call("demo", "--out", tmp_path / "notes", *which) == 2
     said = "".join(capsys.readouterr())

@@ -234,7 +234,7 @@ def test_a_limit_of_steps_is_not_that_of_the_fixed_steps():
 
 
 def test_a_fast_impact_before_a_long_slide_is_confirmed():
-    """It leaves the peg with half its speed, and friction takes up the rest in closed form.
+    """The disk leaves the peg with half its speed, and slides as far as friction lets it.
 
     Steps of the length for its first speed would be half a million.
     """
