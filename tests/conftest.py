@@ -104,23 +104,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no file whose tests the marks all leave out, where no file is named."""
+    """Import no file that the marks leave out as a whole, where no file is named."""
     if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
         return None
     return _without_chosen(collection_path, config.option.markexpr) or None
 
 
 def _without_chosen(file: Path, chosen: str) -> bool:
-    """Whether the marks leave out every test of a file. Fixtures in its folder may mark some."""
-    if not file.name.startswith("test_"):
+    """Whether the marks leave out a file: one of whole systems, where these are left out."""
+    if not (file.name.startswith("test_") and chosen.startswith("not system and")):
         return False
     text = file.read_text(encoding="utf-8")
-    if chosen.startswith("system and"):
-        shared = file.with_name("conftest.py")
-        texts = (text, shared.read_text(encoding="utf-8") if shared.exists() else "")
-        return not any("mark.system" in one for one in texts)
-    all_system = re.search(r"^pytestmark = (?:\[)?pytest\.mark\.system\b", text, re.MULTILINE)
-    return chosen.startswith("not system and") and all_system is not None
+    return bool(re.search(r"^pytestmark = (?:\[)?pytest\.mark\.system\b", text, re.MULTILINE))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
