@@ -23,14 +23,13 @@ SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 
 def search(errors, begins=NONE):
     errors = np.asarray(errors, float)
-    return search_chart([SearchPanel("one", errors, np.asarray(begins))], "mm^2")
+    return search_chart([SearchPanel("one", errors, np.asarray(begins))])
 
 
 def starts(errors):
     k = len(errors)
     return starts_chart(
         title="six starts",
-        unit="mm^2",
         errors=np.asarray(errors, float),
         points=np.linspace((0.1, 0.01), (0.9, 0.05), k),
         unknowns=(
@@ -47,7 +46,6 @@ def errors_of(n, seed=0):
     return calibration.errors_chart(
         keys=[f"set/{k:03d}-experiment" for k in range(n)],
         series={"before": before, "each alone": 0.02 * before, "one set for all": 0.3 * before},
-        unit="mm^2",
     )
 
 
@@ -125,7 +123,7 @@ CHARTS = {
     "one experiment": errors_of(1),
     "named experiments": errors_of(21),
     "420 experiments": errors_of(420),
-    "no simulation": calibration.errors_chart(["a", "b"], {"before": LOST, "after": LOST}, "m"),
+    "no simulation": calibration.errors_chart(["a", "b"], {"before": LOST, "after": LOST}),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
     "half an interval": rows(high=0.4, noise_value=0.1, verdict="trades off with mu_fixel"),
@@ -203,7 +201,7 @@ def test_a_banner_stands_clear_of_the_picture():
 
 def test_searches_tell_iterations_and_the_best_so_far():
     table = search([3.0, np.inf, 2.0, 5.0], [0, 1]).table()
-    assert table.head == ("search", "evaluation", "iteration", "error_mm2", "best_mm2")
+    assert table.head == ("search", "evaluation", "iteration", "error_mm", "best_mm")
     assert table.rows == [
         ("one", 1, 0, 3.0, 3.0),
         ("one", 2, 1, None, 3.0),
@@ -224,7 +222,7 @@ def test_the_worst_experiment_comes_first():
     chart = errors_of(30)
     last = [row[-1] for row in chart.table().rows]
     assert last == sorted(last, reverse=True)
-    assert chart.table().head[0:2] == ("experiment", "before_mm2")
+    assert chart.table().head[0:2] == ("experiment", "before_mm")
 
 
 def test_many_experiments_stay_on_one_page():

@@ -14,7 +14,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
-from fixel.units import displayed, unit_text
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,8 +33,8 @@ MARKS: Final[tuple[Style, ...]] = (
 LAST: Final[Style] = {"color": palette.BODY, "marker": "o"}
 
 
-def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: str) -> Chart:
-    """Draw the error of every experiment before and after a calibration, from worst to best.
+def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray]) -> Chart:
+    """Draw the error [mm] of every experiment before and after a calibration, from worst to best.
 
     There are at most three series (n,) by label; not finite if missing. The last one sets the
     order. Rows of many experiments have no names.
@@ -54,7 +54,7 @@ def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: st
     for row, (name, errors), style in zip(shown, series.items(), styles, strict=True):
         marks += [
             chart.line(row, at, linestyle="none", zorder=3, markersize=3.8 if named else 1.8,
-                       markeredgewidth=0.8, label=_with_mean(name, errors, unit), **style),
+                       markeredgewidth=0.8, label=_with_mean(name, errors), **style),
             chart.mark_missing(at[~np.isfinite(row)], 0.995, "y", color=style["color"],
                                clip_on=False),
         ]  # fmt: skip
@@ -62,12 +62,12 @@ def errors_chart(keys: Sequence[str], series: Mapping[str, FloatArray], unit: st
         *marks,
         log={"x": shown.ravel()},
         rows=_row_names([keys[k] for k in order]) if named else (),
-        xlabel=f"error [{unit_text(unit)}]",
+        xlabel="error [mm]",
         ylabel="" if named else f"experiment, worst of {n} first",
         ylim=(n - 0.4, -0.6),
     )
     names = (name.replace(" ", "_").replace(",", "") for name in series)
-    columns = ("experiment", *(f"{name}_{chart.column_unit(unit)}" for name in names))
+    columns = ("experiment", *(f"{name}_mm" for name in names))
     return Chart(
         size=(chart.WIDE, max(1.5, 0.75 + 0.135 * n) if named else 3.2),
         fill=chart.panels([[errors_panel]]),
@@ -82,7 +82,7 @@ def _row_names(keys: Sequence[str]) -> list[str]:
     return [chart.shorten(key.partition("/")[2] if alike else key, 44) for key in keys]
 
 
-def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
+def _with_mean(name: str, errors: FloatArray) -> str:
     good = errors[np.isfinite(errors)]
     lost = len(errors) - len(good)
     if not len(good):
@@ -90,7 +90,7 @@ def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
     mean, median = float(good.mean()), float(np.median(good))
     both = f"{mean:.3g}" if len(good) == 1 else f"mean {mean:.3g}, median {median:.3g}"
     failed = f"; × {lost} without a simulation" if lost else ""
-    return f"{name}: {both} {unit_text(unit)}{failed}"
+    return f"{name}: {both} mm{failed}"
 
 
 def seconds_chart(keys: Sequence[str], seconds: FloatArray, evaluations: Sequence[int]) -> Chart:

@@ -13,7 +13,7 @@ from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.space import Unknown
 from fixel.table import Table
 from fixel.typing import BoolArray, FloatArray, IntArray
-from fixel.units import displayed, unit_text
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,21 +38,20 @@ class SearchPanel(NamedTuple):
         return np.searchsorted(self.begins, np.arange(len(self.errors)), side="right") - 1
 
 
-def search_chart(searches: Sequence[SearchPanel], unit: str, what: str = "error") -> Chart:
-    """Draw the error against the evaluation, one panel for each of one to three searches.
+def search_chart(searches: Sequence[SearchPanel], what: str = "error") -> Chart:
+    """Draw the error [mm] against the evaluation, one panel for each of one to three searches.
 
     The objective is `what`, such as `"sum of errors"` for several experiments.
 
     Source: RPI thesis, figure 5.5.
     """
-    n, label = len(searches), f"{what} [{unit_text(unit)}]"
+    n, label = len(searches), f"{what} [mm]"
     row = [_search(one, 70 if n == 1 else 38, "" if k else label) for k, one in enumerate(searches)]
-    error = chart.column_unit(unit)
     return Chart(
         size=(4.6, 2.9) if n == 1 else (chart.WIDE, 2.7),
         fill=chart.panels([row]),
         data=Table(
-            ("search", "evaluation", "iteration", f"error_{error}", f"best_{error}"),
+            ("search", "evaluation", "iteration", "error_mm", "best_mm"),
             [
                 (own.title.replace("\n", " "), k, None if i < 0 else i, *values)
                 for own in searches
@@ -124,7 +123,6 @@ def _iteration_axis(axes: Axes, own: SearchPanel) -> None:
 
 def starts_chart(
     title: str,
-    unit: str,
     errors: FloatArray,
     points: FloatArray,
     unknowns: Sequence[Unknown],
@@ -134,8 +132,8 @@ def starts_chart(
 ) -> Chart:
     """Draw final errors (k,) of searches from several starts, sorted, and their end points (k, n).
 
-    An error is inf if a search found nothing. Starts count as good up to an excess `nearly` over
-    the best error, as a share of it. The objective is `what`, as in `search_chart`.
+    Errors are in mm, inf if a search found nothing. Starts count as good up to an excess `nearly`
+    over the best error, as a share of it. The objective is `what`, as in `search_chart`.
     """
     order = np.argsort(errors, kind="stable").tolist()
     good = np.isfinite(errors) & (errors <= errors.min() * (1.0 + nearly))
@@ -149,14 +147,14 @@ def starts_chart(
         # More than two parameters get a wider panel.
         share = max(1.0, 0.35 * len(unknowns))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
-        _waterfall(errors[order], good[order], styles, f"final {what} [{unit_text(unit)}]")(left)
+        _waterfall(errors[order], good[order], styles, f"final {what} [mm]")(left)
         if not np.isfinite(errors).all():
             _raise_top(left)
         worst_first = [k for k in reversed(order) if math.isfinite(errors[k])]
         _end_points(points[worst_first], good[worst_first], styles, unknowns)(right)
         chart.legend_below(figure, (left,))
 
-    first = ("rank", "start", f"error_{chart.column_unit(unit)}", "nearly_as_good", "evaluations")
+    first = ("rank", "start", "error_mm", "nearly_as_good", "evaluations")
     rows = [
         (rank, k + 1, errors[k], str(bool(good[k])).lower(), evaluations[k], *points[k])
         for rank, k in enumerate(order, 1)

@@ -243,7 +243,7 @@ def _of_experiments(data: _ChartData) -> NamedCharts:
     """Charts of the errors of all experiments, before and after."""
     if len(data.keys) == 1:  # the overlay shows it
         return
-    yield "errors", errors_chart(data.keys, data.errors, "mm")
+    yield "errors", errors_chart(data.keys, data.errors)
     if data.offset_axes:
         name = "each alone" if "each alone" in data.errors else list(data.errors)[-1]
         error = Quantity("error", "mm", data.errors[name], log=True)
@@ -275,7 +275,7 @@ def fit_search_chart(*fits: Calibration, words: Sequence[str] = ("",)) -> Chart:
         for word, fit in zip(words, fits, strict=True)
         if fit.found.trace is not None
     ]
-    return search_chart(panels, unit="mm", what=_what(fits[0]))
+    return search_chart(panels, what=_what(fits[0]))
 
 
 def _what(fit: Calibration) -> str:
@@ -294,7 +294,6 @@ def fit_starts_chart(fit: Calibration) -> Chart:
     errors = np.array([end.error for end in ends])
     return starts_chart(
         title=f"{len(ends)} starts: {_title_of(fit)}",
-        unit="mm",
         errors=fit.request.lengths(errors, len(fit.found.members)),
         points=np.array([end.point for end in ends]),
         unknowns=fit.space.free,
@@ -343,7 +342,7 @@ def fit_errors_chart(fit: Calibration) -> Chart:
     """Draw the error of every experiment before and after the calibration."""
     errors = {BEFORE: fit.nominal_errors, "after": fit.found.errors}
     series = {name: fit.request.lengths(own) for name, own in errors.items()}
-    return errors_chart(fit.keys_of_experiments, series, "mm")
+    return errors_chart(fit.keys_of_experiments, series)
 
 
 def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> Chart:
