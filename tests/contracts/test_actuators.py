@@ -81,20 +81,11 @@ class TestManual(ActuatorContract):
 
 
 class TestGrbl(ActuatorContract):
-    @pytest.fixture
-    def actuator(self):
-        with EmulatedGrbl(homing=True, acceleration=2000.0, start=3.0) as controller:
-            driver = GrblActuator(controller.port)
-            yield driver
-            driver.disconnect()
-            assert controller.lost == 0
-
-
-class TestGrblPlane(ActuatorContract):
-    @pytest.fixture
-    def actuator(self):
-        with EmulatedGrbl(homing=True, acceleration=2000.0, start=3.0, axes=2) as controller:
-            driver = GrblActuator(controller.port, axes="XY", guard=False)
+    @pytest.fixture(params=[{}, {"axes": "XY", "guard": False}], ids=["line", "plane"])
+    def actuator(self, request):
+        axes = 2 if request.param else 3
+        with EmulatedGrbl(homing=True, acceleration=2000.0, start=3.0, axes=axes) as controller:
+            driver = GrblActuator(controller.port, **request.param)
             yield driver
             driver.disconnect()
             assert controller.lost == 0

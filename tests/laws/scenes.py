@@ -34,6 +34,16 @@ PITCH = 0.075  # [m] of the grid on which bodies stand clear of one another
 _L_SHAPE = [[0, 0], [0.03, 0], [0.03, 0.012], [0.012, 0.012], [0.012, 0.03], [0, 0.03]]
 
 
+def kinetic_energy(scene, run) -> np.ndarray:
+    """Kinetic energy (n,) of all bodies of a simulation [J]."""
+    energy = np.zeros(len(run.time))
+    for body in scene.bodies:
+        v = run.twist[body.name]
+        energy += 0.5 * body.mass * (v[:, 0] ** 2 + v[:, 1] ** 2)
+        energy += 0.5 * body.moment_of_inertia * v[:, 2] ** 2
+    return energy
+
+
 def _number(low: float, high: float) -> st.SearchStrategy[float]:
     return st.integers(0, 10_000).map(lambda k: low + (high - low) * k / 10_000)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from tests.laws.scenes import scenes
+from tests.laws.scenes import kinetic_energy, scenes
 
 from fixel.model import Body, Disk, Fixel, NoSupport, Scene
 from fixel.simulation import Adaptive, Midpoint, StewartTrinkle, simulate
@@ -13,21 +13,12 @@ from fixel.simulation import Adaptive, Midpoint, StewartTrinkle, simulate
 STEPPERS = st.sampled_from([StewartTrinkle(step=1e-3), Midpoint(step=1e-3), Adaptive()])
 
 
-def _kinetic(scene, run) -> np.ndarray:
-    energy = np.zeros(len(run.time))
-    for body in scene.bodies:
-        v = run.twist[body.name]
-        energy += 0.5 * body.mass * (v[:, 0] ** 2 + v[:, 1] ** 2)
-        energy += 0.5 * body.moment_of_inertia * v[:, 2] ** 2
-    return energy
-
-
 @given(scene=scenes(drive=False, thrown=True, none=True), stepper=STEPPERS)
 @settings(max_examples=60)
 def test_friction_never_adds_kinetic_energy(scene, stepper):
     run = simulate(scene, stepper=stepper)
     assert run.converged
-    energy = _kinetic(scene, run)
+    energy = kinetic_energy(scene, run)
     # A step that ends in a corner is a first-order mistake, whose gap is pushed open in the next
     # one; that push may cost energy of the order of the step squared.
     assert np.diff(energy).max() <= 1e-4 * energy[0]
@@ -39,7 +30,7 @@ def test_friction_never_adds_kinetic_energy(scene, stepper):
 def test_newtons_restitution_never_adds_kinetic_energy_without_friction(scene, stepper):
     run = simulate(scene, stepper=stepper)
     assert run.converged
-    energy = _kinetic(scene, run)
+    energy = kinetic_energy(scene, run)
     assert np.diff(energy).max() <= 1e-4 * energy[0]
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.laws.scenes import kinetic_energy
 
 from fixel.model import (
     Body,
@@ -103,11 +104,7 @@ def passive_scene(seed: int):
 def _check(seed: int) -> None:
     scene, stepper, solver = passive_scene(seed)
     run = simulate(scene, motion=Dynamic(), stepper=stepper, solver=solver)
-    energy = np.zeros(len(run.time))
-    for body in scene.bodies:
-        v = run.twist[body.name]
-        energy += 0.5 * body.mass * (v[:, 0] ** 2 + v[:, 1] ** 2)
-        energy += 0.5 * body.moment_of_inertia * v[:, 2] ** 2
+    energy = kinetic_energy(scene, run)
     # Each step's rows are met to 1e-9 of the characteristic momentum.
     assert np.diff(energy).max(initial=0.0) <= 1e-6 * energy[0]
     assert energy.max() <= (1.0 + 1e-6) * energy[0]
