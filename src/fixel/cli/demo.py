@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
-    from fixel.workflows.demo.story_demo import DemoClaim, DemoStep
+    from fixel.workflows.demo.story_demo import DemoStep
     from fixel.workflows.installation import Diagnosis
 
 _WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
@@ -101,15 +101,14 @@ def demo(
 
 
 def _step_lines(number: int, step: "DemoStep") -> list[str]:
-    claims = [_claim_line(claim) for claim in step.claims]
+    claims = [
+        f"  {'right' if own.right else 'WRONG'}  {own.what}: fixel states {own.stated};"
+        f" in truth {own.truth}"
+        for own in step.claims
+    ]
     repeat = [f"    {line}" for line in step.repeat]
     return [f"{number}. {step.title}", *(f"  {line}" for line in step.lines), *claims,
             *(["  The same with your own table:", *repeat] if repeat else []), ""]  # fmt: skip
-
-
-def _claim_line(claim: "DemoClaim") -> str:
-    verdict = "right" if claim.right else "WRONG"
-    return f"  {verdict}  {claim.what}: fixel states {claim.stated}; in truth {claim.truth}"
 
 
 def _last_lines(n: int, wrong: int, seconds: float) -> list[str]:

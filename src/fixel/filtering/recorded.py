@@ -239,7 +239,7 @@ def run_filter(
     running = start_filter(
         options, scene, seed, pose=frames[0].seen, pusher=frames[0].pusher, time=frames[0].time
     )
-    estimates, busy = [running.estimate], [0.0]
+    estimates, busy, span = [running.estimate], [0.0], (frames[0].time, frames[-1].time)
     for done, frame in enumerate(frames[1:], 2):
         begun = time.perf_counter()
         estimates.append(running.step(frame))
@@ -255,7 +255,9 @@ def run_filter(
         occlusion=occlusion,
         uses_tactile=any(frame.touches is not None for frame in frames),
         draws=running.draws(DRAWS),
-        misfit=misfit_of(running, *_within_run(experiment, frames), seed),
+        misfit=misfit_of(
+            running, during(experiment.trajectory, span), during(_pusher(experiment), span), seed
+        ),
         seen=np.array([frame.seen is not None for frame in frames]),
         busy=np.array(busy),
     )
@@ -268,12 +270,6 @@ def label_and_factor(name: str) -> tuple[str, float]:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Trajectory, Trajectory]:
-    """Measured paths of the object and the pusher while the filter ran."""
-    span = frames[0].time, frames[-1].time
-    return during(experiment.trajectory, span), during(_pusher(experiment), span)
 
 
 def during(track: Trajectory, interval: tuple[float, float]) -> Trajectory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, NamedTuple, final
@@ -250,10 +251,11 @@ class PartTrack(Comparable):
         """First and last time without a good pose [s] and the reason, for each gap."""
         bad = np.flatnonzero(~self.good)
         runs = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1) if len(bad) else []
-        return tuple(
-            (float(self.time[run[0]]), float(self.time[run[-1]]), _commonest(self.reason, run))
-            for run in runs
-        )
+        found = []
+        for run in runs:
+            reason, _ = Counter(self.reason[k] for k in run).most_common(1)[0]
+            found.append((float(self.time[run[0]]), float(self.time[run[-1]]), reason))
+        return tuple(found)
 
     @property
     def n_outliers(self) -> int:
@@ -286,11 +288,6 @@ class FilmTracks(Comparable):
     parts: dict[str, PartTrack]
     fixels: tuple[FoundFixel, ...] = ()  # fixels that could be measured
     remarks: tuple[str, ...] = field(default=())  # remarks on the quality of the tracks
-
-
-def _commonest(reasons: tuple[str, ...], run: NDArray[np.int64]) -> str:
-    own = [reasons[k] for k in run]
-    return str(max(dict.fromkeys(own), key=own.count))
 
 
 SMOOTH: Final = 0.25  # [s] to either side from which a speed is computed

@@ -9,6 +9,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, HTTPException, Path, Request
 from pydantic import AfterValidator, Field
 
+from fixel.calibration.target import scene_of
+from fixel.formats import SceneFile
+from fixel.formats.scene_file import scene_dict
+from fixel.io.document import yaml_text
 from fixel.jobs.worker_process import CallCancellation
 from fixel.web.context import Context
 from fixel.web.values import Id, RequestBody, Text, storable
@@ -52,7 +56,8 @@ def example(name: ExampleName) -> SceneAnswer:
 
 @router.get("/experiments/{number}/scene", summary="Get the scene of an experiment")
 def scene_of_experiment(context: Context, number: Id) -> SceneAnswer:
-    return {"scene": scene_editor.scene_of_experiment(context.store.experiment(number))}
+    scene = scene_of(context.store.experiment(number))
+    return {"scene": scene_dict(SceneFile(scene=scene))}
 
 
 @router.post("/scenes/read", summary="Parse the text of a scene file")
@@ -67,7 +72,7 @@ def check(wanted: SceneRequest) -> None:
 
 @router.post("/scenes/write", summary="Write a scene as the text of a scene file")
 def write(wanted: SceneRequest) -> dict[Literal["text"], str]:
-    return {"text": scene_editor.write_scene(wanted.scene)}
+    return {"text": yaml_text(scene_dict(scene_editor.check_scene(wanted.scene)))}
 
 
 @router.post(

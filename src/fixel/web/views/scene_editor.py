@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, Final
 
@@ -12,9 +11,9 @@ from pydantic import Field
 from fixel.errors import InvalidInput, JobRefused, check_name
 from fixel.formats import SceneFile
 from fixel.formats.scene_file import scene_dict, scene_file_from_dict
-from fixel.io.document import parse_json, parse_yaml, plain_numbers, yaml_text
+from fixel.io.document import parse_json, parse_yaml, plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
-from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
+from fixel.model import Disk, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
 from fixel.simulation.motion import motion_model
 from fixel.simulation.stepping import Adaptive
@@ -62,13 +61,6 @@ def example(name: str) -> dict[str, Any]:
     return read_scene(example_text(name))
 
 
-def scene_of_experiment(experiment: Experiment) -> dict[str, Any]:
-    """Return the scene of an experiment, as the keys of a scene file."""
-    from fixel.calibration.target import scene_of
-
-    return scene_dict(SceneFile(scene=scene_of(experiment)))
-
-
 def read_scene(text: str, *, json: bool = False) -> dict[str, Any]:
     """Parse and check the text of a scene file; return its keys, or raise `InvalidInput`."""
     if len(text.encode()) > MAX_TEXT:
@@ -85,11 +77,6 @@ def check_scene(content: Any) -> SceneFile:
     motion_model(found.motion)
     _check_size(found)
     return found
-
-
-def write_scene(content: Mapping[str, Any]) -> str:
-    """Return the scene file of these keys, as YAML."""
-    return yaml_text(scene_dict(check_scene(content)))
 
 
 def simulated(content: Any) -> SceneMotion:

@@ -344,7 +344,6 @@ def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float,
     return float(c * x + s * y - at[0]), float(c * y - s * x - at[1]), turn
 
 
-def write_plan(proposal: PushProposal, path: Path) -> Path:
+def write_plan(proposal: PushProposal, path: Path) -> None:
     """Write the proposed pushes as a plan file, whole or not at all."""
     write_whole(path, plan_text(plan_of(proposal, _plain(path.stem, "next"))))
-    return path
