@@ -10,6 +10,7 @@ from tests.fixtures import project_of
 
 from fixel.formats import SceneFile, save_scene
 from fixel.formats.plan_file import load_plan
+from fixel.model import LineDrive, Polygon, Pusher
 from fixel.testing.pushes import example_parts
 from fixel.workflows.analysis import load_analyses
 
@@ -97,6 +98,25 @@ def test_candidates_of_a_plan_are_the_only_ones(capsys, project, new_part, tmp_p
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(capsys, project, words, message):
     assert message in refusal(capsys, "next", "-p", project.folder, *words)
+
+
+def test_experiments_whose_conditions_name_no_surface_are_used(capsys, tmp_path):
+    pushes = [
+        replace(own, conditions={"part": own.conditions["part"]}) for own in example_parts(3, 6)
+    ]
+    lab = project_of(tmp_path / "lab", pushes).folder
+    text = output(capsys, "next", "-p", lab, "--part", "part-3", "--contacts", 4, "-n", 2)
+    assert "Next pushes of part-3, after 6 pushes" in text
+    assert "learned from 12 pushes of 2 parts" in text
+
+
+@pytest.mark.parametrize("part", ["part-1", "part=part-1"])
+def test_square_pushers_and_no_missing_name_are_the_reason(capsys, tmp_path, part):
+    square, drive = Polygon.regular(4, 0.02), LineDrive(speed=0.01)
+    tip = Pusher(name="tip", shape=square, friction=0.2, pose=(-0.2, 0, 0), drive=drive)
+    pushes = [replace(own, scene=replace(own.scene, pushers=(tip,))) for own in example_parts(2, 2)]
+    lab = project_of(tmp_path / "lab", pushes).folder
+    assert "4 with a pusher that is not round" in refusal(capsys, "next", "-p", lab, "--part", part)
 
 
 def test_ctrl_c_leaves_no_half_written_file(capsys, project, tmp_path, monkeypatch):

@@ -243,8 +243,6 @@ SAMPLE: Final = 1.0 / 240.0  # [s] between samples of the true motion
 # rollout changes the steps of its solver, and its end by some micrometres.
 SAME_END: Final = 2e-4  # [m]
 
-FILES: Final = (".yaml", ".yml", ".json")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmScene:
@@ -285,7 +283,7 @@ def _makers(
 ) -> list[Callable[[], FilmScene]]:
     """One function for each scene of a source, which simulates it."""
     path = Path(source)
-    if path.suffix.lower() not in FILES:
+    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
         with Project(project).store() as store:
             experiment = store.experiment(store.find(source))
         _check_simulated(experiment)

@@ -204,8 +204,7 @@ def select(project: Project, asked: Any) -> NextSelection:
         of_surface = Condition(of_surface.name, surfaces[0] if surfaces else "")
     elif first is None and not offered:
         check_name("surface", of_surface.value, surfaces)
-    if of_surface.value:
-        mine = [own for own in mine if of_surface.is_of(own)]
+    mine = [own for own in mine if of_surface.is_of(own)]
     return NextSelection(
         part=of_part,
         surface=of_surface,
@@ -245,18 +244,18 @@ def _condition(
     name, equals, text = value.partition("=")
     conditions = sorted({n for own in experiments for n in own.conditions})
     if equals:
-        check_name(what, name, conditions)
+        check_name(what, name, conditions or [name])
         return Condition(name, text)
     counts = {n: sum(n in own.conditions for own in experiments) for n in names}
     have = max(names, key=lambda n: counts[n])  # the first of those that most have
-    if not counts[have] and what == "part":
+    if experiments and not counts[have] and what == "part":
         raise InvalidInput(
             "part",
             found="no experiment with a condition that names its part",
             expected="one of " + ", ".join(names),
             hint=f"name it: part=NAME=VALUE; NAME: {', '.join(conditions)}" if conditions else None,
         )
-    return Condition(have, value)
+    return Condition(have if counts[have] else "", value)
 
 
 def _no_part(part: Condition, known: Sequence[Experiment]) -> InvalidInput:
