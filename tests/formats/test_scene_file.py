@@ -361,6 +361,14 @@ def test_overrides_change_values_by_number_and_by_name():
     assert made.scene.fixels[0].pose == pytest.approx([0.25, 0.01, 0])
 
 
+def test_a_pusher_without_a_drive_is_not_written_as_no_file_with_it_can_be_read(tmp_path):
+    tip = Pusher("tip", Disk(0.01), friction=0.2, pose=(-0.2, 0.0, 0.0))
+    template = Scene(Body("part", Disk(0.05), mass=0.1), tip, duration=1.0)
+    file, path = SceneFile(scene=template), tmp_path / "scene.yaml"
+    refused(save_scene, file, path, match="a template: no drive of pusher 'tip'")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_an_override_may_add_a_key_the_file_left_out():
     made = loaded(CONTRACT, overrides=["plane.axis=0.5", "bodies.0.support.tripod.angle=0.1"])
     assert made.scene.plane.axis == 0.5

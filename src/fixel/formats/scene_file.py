@@ -136,8 +136,8 @@ def scene_of(record: Any) -> model.Scene:
 
 
 def scene_content(scene: model.Scene) -> dict[str, Any]:
-    """Return a scene as the keys of a scene file, mostly without defaults."""
-    found: dict[str, Any] = content(scene)
+    """Return a scene as the keys of a scene file, mostly without defaults; raise for a template."""
+    found: dict[str, Any] = content(scene.complete())  # a template could not be read again
     return found
 
 
