@@ -29,6 +29,12 @@ def test_equal_by_content_and_hashable():
     assert a.duration == 1.0
 
 
+def test_a_condition_that_is_true_or_false_is_printed_as_such():
+    assert "dry=False n=1 wet=True" in repr(
+        experiment(conditions={"wet": True, "dry": False, "n": 1})
+    )
+
+
 def test_conditions_are_texts_and_numbers_that_can_be_stored():
     numbers = experiment(conditions={"n": np.int64(3), "x": np.float32(0.5), "s": "abs"}).conditions
     assert json.loads(json.dumps(dict(numbers))) == {"n": 3, "x": 0.5, "s": "abs"}

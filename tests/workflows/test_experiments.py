@@ -292,3 +292,14 @@ def test_roles_and_units_of_another_type_are_refused_by_name(option):
     pandas = pytest.importorskip("pandas")
     for wrong in (pandas.Series({"time": "time_s"}), [("time", "time_s")], "time_s"):
         refused(read, columns(0.01), **{option: wrong}, match=f"{option}.* texts by name")
+
+
+def test_equal_names_of_files_in_two_folders_are_stated(tmp_path):
+    text = "time_s,x_mm,y_mm,theta_deg\n0,0,0,0\n1,5,0,1\n2,9,0,2\n"
+    places = [tmp_path / folder / "t.csv" for folder in ("a", "b")]
+    for place in places:
+        place.parent.mkdir()
+        place.write_text(text)
+    stated = "Equal names: 2 experiments are csv/t; rename their files before a calibration."
+    assert stated in str(read_experiments(places, progress=False))
+    assert "Equal" not in str(read_experiments(places[:1], progress=False))

@@ -293,7 +293,7 @@ class Experiments(Result, Sequence[Experiment]):
         heading = f"Experiments: {len(self)} of {of} ({kind}), {n_scene} with scene"
         skipped = [f"skipped {len(self.skipped)}: {self.skipped[0]}"] if self.skipped else []
         more = max(0, len(self) - MAX_LISTED)
-        notes = [f"note: {note}" for note in self.notes if note.startswith("Guess")]
+        notes = [f"note: {note}" for note in self.notes if note.startswith(("Guess", "Equal"))]
         return Summary(
             heading if self.entries else "Experiments: none",
             [self._listed()] if self.entries else [],

@@ -336,7 +336,7 @@ class Experiment(Comparable, Result):
         place = (Column("x", unit, ".2f"), Column("y", unit, ".2f"))
         table = Table((self.object_name, *place, Column("angle", "deg", ".2f")), rows)
         values = (
-            f"{name}={value if isinstance(value, str) else format(value + 0.0, '.6g')}"
+            f"{name}={value if isinstance(value, str | bool) else format(value + 0.0, '.6g')}"
             for name, value in self.conditions.items()
         )
         notes = [" ".join(values)] if self.conditions else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -125,10 +126,13 @@ def read_experiments(
             continue
         plans.append(plan_import(place, format, scene=choice, options=options, **own))
     read = collected(plans, limit, progress)
-    if not found:
-        return read
-    every = [one for some in (*found, read) for one in some]
-    return Experiments.of(every[:limit], read.notes, read.skipped, read.simulations)
+    every = [one for some in (*found, read) for one in some][:limit]
+    equal = [
+        f"Equal names: {n} experiments are {key}; rename their files before a calibration."
+        for key, n in Counter(own.key for own in every).items()
+        if n > 1
+    ]
+    return Experiments.of(every, (*read.notes, *equal), read.skipped, read.simulations)
 
 
 def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:
