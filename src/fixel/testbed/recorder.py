@@ -344,10 +344,9 @@ def check_disk_space(folder: Path, stream: Stream, codec: str, limit: float | No
         raise InvalidInput(
             str(folder),
             found=f"{free / 1e6:.0f} MB free on its disk",
-            expected=f"{needed / 1e6:.0f} MB, for {duration:.0f} s of {codec}",
-            hint="free disk space, record to another disk, or use --codec near"
-            if codec == "exact"
-            else "free disk space, or record to another disk",
+            expected=f"{needed / 1e6:.0f} MB, for {duration:.0f} s of video ({codec})",
+            hint="free disk space, or record to another disk"
+            + ", or with --codec near" * (codec == "exact"),
         )
 
 

@@ -1,5 +1,6 @@
 """Faults of a bench and of requests are named before anything moves."""
 
+import re
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -274,4 +275,5 @@ def test_a_disk_on_which_no_minute_fits_is_named_before_the_push(
     with opened(folder, camera=camera, port=controller.port) as loop:
         check = loop._disk_check()
         assert not check.passed
+        assert re.match(r"35 MB free on its disk, but needs \d+ MB, for 60 s of video", check.words)
         assert "free disk space" in check.words

@@ -69,8 +69,7 @@ def _form(
     error: FixelError | None = None,
     chosen: str = "",
 ) -> dict[str, Any]:
-    form = filled_form(context, BENCH, texts, error)
-    return form | {
+    return filled_form(context, BENCH, texts, error) | {
         "report": None,
         "campaigns": campaigns(context.project.folder),
         "plans": _plans(context),

@@ -460,11 +460,12 @@ def _table(
     """Return the estimates with their half-widths, now and after the next rows."""
     rows = []
     for own in known.calibration.estimates.values():
-        halves = (known.half_widths.get(own.label), ahead.get(own.label) if n else None)
+        halves = (known.half_widths.get(own.label), *([ahead.get(own.label)] if n else []))
         # Wider than its bounds, an interval says nothing.
         most = math.inf if own.bounds is None else 0.5 * (own.bounds[1] - own.bounds[0])
         texts = ["-" if half is None or half >= most else own.text(half) for half in halves]
         goal = own.text(wanted[own.label]) if own.label in wanted else "-"
         rows.append((own.label, own.value_text, *texts, goal, own.verdict_text))
-    head = ("parameter", "value", "+/-", f"+/- after {n} more", "wanted", "verdict")
-    return Table(head, rows, left=6)
+    after = [f"+/- after {n} more"] if n else []
+    head = ("parameter", "value", "+/-", *after, "wanted", "verdict")
+    return Table(head, rows, left=len(head))

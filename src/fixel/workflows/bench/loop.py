@@ -368,12 +368,12 @@ class BenchLoop:
 
     def _disk_check(self) -> BenchCheck:
         stream, folder = self.devices.camera.stream, self.campaign.folder
-        words = f"{free_space(folder) / 1e9:.1f} GB free"
         try:  # as the recorder does
             check_disk_space(folder, stream, codec_for("auto", stream), None)
         except InvalidInput as full:
-            return BenchCheck("disk", False, f"{words}, but {full.expected} needed: {full.hint}")
-        return BenchCheck("disk", True, words)
+            words = f"{full.found}, but needs {full.expected}; {full.hint}"
+            return BenchCheck("disk", False, words)
+        return BenchCheck("disk", True, f"{free_space(folder) / 1e9:.1f} GB free")
 
     def _way(self, row: PlannedExperiment, look: Look) -> list[FloatArray] | None:
         """Return the way of the head to the start of a push, past the part where it is seen."""
