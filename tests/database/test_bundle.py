@@ -40,6 +40,7 @@ NOTHING_NEW = {
     "filter_runs": 0,
     "flags": 0,
     "outdated": 0,
+    "replaced": 0,
 }
 
 
@@ -209,6 +210,19 @@ def test_what_is_newer_here_stays_on_top(store, tmp_path):
     counts = import_bundle(tmp_path / "a.zip", store)
     assert (counts["known"], counts["outdated"]) == (1, 1)
     assert [s.id for s in store.experiments().rows] == [here]
+
+
+def test_experiments_of_the_same_name_that_are_replaced_are_counted(store, tmp_path):
+    """Two versions of one experiment in the bundle replace the one of the project once."""
+    with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
+        other.upgrade()
+        for each in (experiment(contact_mode="010"), experiment(contact_mode="110"),
+                     experiment("another")):  # fmt: skip
+            other.add_experiment(each)
+        export_bundle(other, tmp_path / "a.zip")
+    store.add_experiment(experiment())
+    assert import_bundle(tmp_path / "a.zip", store)["replaced"] == 1
+    assert import_bundle(tmp_path / "a.zip", store) == NOTHING_NEW | {"known": 3}
 
 
 def test_notes_come_along_once_and_stay_deleted(store, tmp_path):

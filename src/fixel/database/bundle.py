@@ -163,9 +163,9 @@ def import_bundle(
     raises `InvalidInput`. Each experiment and each result is added in its own transaction.
     Importing again after an interruption adds only the missing records.
 
-    ``known`` counts experiments already in the project, ``flags`` the flags added to those, and
-    ``outdated`` new experiments of which the project has a newer version. They are added as
-    deleted, since a listing shows the experiment added last.
+    ``known`` counts experiments already in the project, ``flags`` the flags added to those,
+    ``replaced`` those of the same name as new ones, and ``outdated`` new experiments of which the
+    project has a newer version. They are added as deleted: a listing shows the one added last.
     """
     store.media.mkdir(parents=True, exist_ok=True)
     with bundle_file.opened_bundle(path, store.media.parent, limits) as source:
@@ -179,11 +179,10 @@ def import_bundle(
 
 def _copy_video(digest: str, source: Store, target: Store) -> None:
     file, path = (rows.media_path(digest, store.media) for store in (source, target))
-    if path.exists():
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path, durable=True) as unfinished:
-        shutil.copyfile(file, unfinished)
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path, durable=True) as unfinished:
+            shutil.copyfile(file, unfinished)
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -201,8 +200,9 @@ class _Copy:
         self._add_video = add_video
         self._ids: dict[int, int] = {}  # ids of experiments in the source -> in the target
         self._fits: dict[int, int] = {}  # the same of calibrations
+        self._last = max(target._ids(schema.experiment), default=0)  # newest one before the copy
         # Copied records by kind, and counts of the experiments that the target has.
-        self.new = dict.fromkeys((*KINDS, "analyses", "known", "flags", "outdated"), 0)
+        self.new = dict.fromkeys((*KINDS, "analyses", "known", "flags", "outdated", "replaced"), 0)
         self.n_left_out = 0  # calibrations that use an experiment that is not copied
 
     def check(self, experiment_ids: Sequence[int]) -> set[int]:
@@ -221,8 +221,7 @@ class _Copy:
             with reading(self._target._engine) as connection:
                 is_known = self._target._known(connection, row["content_sha256"]) is not None
             heads.append((number, (row["dataset"], row["name"]), is_known))
-        newer: set[tuple[str, str]] = set()
-        outdated = set()
+        newer, outdated = set[tuple[str, str]](), set[int]()
         for number, name, is_known in reversed(heads):
             if name in newer:
                 outdated.add(number)
@@ -274,10 +273,10 @@ class _Copy:
         series = rows.rows_of("experiment", rows.series_of(experiment), self._target.media)
         with writing(self._target._engine) as connection:
             copied = self._target._known(connection, row["content_sha256"])
-            is_new = copied is None
+            is_new, replaced = copied is None, None
             if copied is None:
                 bare = dataclasses.replace(experiment, flags=())  # flags follow, with their times
-                copied = self._target._insert(connection, bare, row, series).id
+                copied, _, replaced = self._target._insert(connection, bare, row, series)
             else:
                 flags = [flag for flag in flags if flag["deleted_at_utc"] is None]
             added = _add_missing(connection, schema.flag, copied, flags, ("name", "detail"))
@@ -290,6 +289,7 @@ class _Copy:
         self.new["experiments"] += is_new
         self.new["outdated"] += is_new and outdated
         self.new["known"] += not is_new
+        self.new["replaced"] += not outdated and 0 < (replaced or 0) <= self._last
         self.new["flags"] += 0 if is_new else added
         return copied
 
