@@ -92,6 +92,8 @@ def test_a_row_is_placed_pushed_tracked_accepted_and_calibrated(
         page.set_viewport_size({"width": width, "height": 800})
         page.wait_for_timeout(300)
         assert faults(page) == []
+        heading = page.locator("h1:has-text('Bench: whole')")  # the navigation left no space for it
+        assert heading.evaluate("own => own.clientWidth >= own.scrollWidth && own.clientWidth > 60")
     page.click("button[data-do=end]")
     page.wait_for_selector("#finish", timeout=1e3 * PATIENCE)
     until(lambda: not session.running, page)
