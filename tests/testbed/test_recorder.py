@@ -243,7 +243,7 @@ def largest_file(size: int) -> Iterator[None]:
 def test_a_disk_that_takes_no_more_leaves_what_it_took(tmp_path: Path, codec: str) -> None:
     with largest_file(100_000):
         done = record(Pictures(100), tmp_path / "r", codec)
-    assert done.reason == "the disk could not be written to: file too large"
+    assert done.reason == f"the disk of {tmp_path / 'r'} could not be written to: file too large"
     assert 0 < done.frames < 100
     kept = open_recording(tmp_path / "r")
     assert kept.complete

@@ -207,7 +207,7 @@ class Recorder:
             try:
                 self._write(writer, arrived, at, zero)
             except OSError as problem:
-                return f"the disk could not be written to: {os_reason(problem)}"
+                return f"the disk of {self.folder} could not be written to: {os_reason(problem)}"
             self._pace.tick(at)
             if now - looked >= LOOKS_AT_DISK:
                 looked, self._free = now, free_space(self.folder)
