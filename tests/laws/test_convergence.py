@@ -8,6 +8,7 @@ import pytest
 from fixel.model import (
     Body,
     Disk,
+    Fixel,
     LineDrive,
     PairFriction,
     Polygon,
@@ -110,20 +111,25 @@ def test_a_contact_of_turning_bodies_stays_closed_to_third_order(finger, motion)
 @pytest.mark.parametrize("tolerance", [None, 1e-6, 1e-8])
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize("press", [0.05, 0.2])
-def test_a_block_slides_along_one_at_rest_as_far_as_friction_lets_it(press, friction, tolerance):
-    """Friction with the plane holds the heavy one; the other stops after v^2 / 2a."""
+@pytest.mark.parametrize("speed", [0.0, 0.1])
+def test_a_block_slides_along_a_slower_one_as_far_as_friction_lets_it(
+    speed, press, friction, tolerance
+):
+    """Each stops after v^2 / 2a; the heavy one, which slides along a smooth wall, stops first."""
     feet = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
     rail = Body(
-        "rail", box(0.6, 0.04), mass=5.0, pose=(0.2, -0.02, 0.0),
+        "rail", box(0.6, 0.04), mass=5.0, pose=(0.2, -0.02, 0.0), velocity=(speed, 0.0, 0.0),
         support=SupportPoints(points=feet * [20.0, -1.5], friction=0.6),
     )  # fmt: skip
     block = Body(
         "block", box(0.04, 0.04), mass=0.1, pose=(0.0, 0.02, 0.0), velocity=(0.5, 0.0, 0.0),
         force=(0.0, -press, 0.0), support=SupportPoints(points=feet, friction=0.2),
     )  # fmt: skip
+    wall = Fixel("wall", box(1.0, 0.02), pose=(0.2, -0.05, 0.0), friction=0.0)
     pair = PairFriction(pair=("rail", "block"), friction=friction)
-    scene = Scene((rail, block), contact_friction=(pair,), duration=0.5)
+    scene = Scene((rail, block), fixels=(wall,), contact_friction=(pair,), duration=0.5)
     run = simulate(scene, stepper=tolerance and Adaptive(tolerance=tolerance))
     slowing = 0.2 * 9.81 + friction * press / 0.1
     assert run.final["block"].x == pytest.approx(0.5**2 / (2.0 * slowing), abs=5e-6)
-    assert run.final["rail"].x == pytest.approx(0.2, abs=1e-9)
+    way = 0.5 * speed**2 / (0.6 * 9.81 - friction * press / 5.0)
+    assert run.final["rail"].x == pytest.approx(0.2 + way, abs=1e-6)

@@ -57,6 +57,7 @@ class State(NamedTuple):
     # (2 n_driven,) clock of each pusher, which lags behind when its drive stalls; then their slips.
     path_time: FloatArray
     middle: FloatArray  # (n_dof + 2,) velocity at the middle of the last step
+    owed: FloatArray  # (1,) time before now for which forces have not changed velocities yet
 
 
 # Entries of `Problem.size`, the numbers in use.

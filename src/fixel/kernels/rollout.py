@@ -167,10 +167,10 @@ def rollout(
     """
     problem, work = allocate(model, method.max_contacts)
     wide = problem.momentum.size
-    n_driven = model.force_limit.size
-    state = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
-    before = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
-    older = State(start.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide))
+    clocks = 2 * model.force_limit.size
+    state = State(start.copy(), np.zeros(wide), np.zeros(clocks), np.zeros(wide), np.zeros(1))
+    before = State(start.copy(), np.zeros(wide), np.zeros(clocks), np.zeros(wide), np.zeros(1))
+    older = State(start.copy(), np.zeros(wide), np.zeros(clocks), np.zeros(wide), np.zeros(1))
     rows = start.copy()
     guess = np.zeros(wide)
     control = np.zeros(at.N_CONTROL)
@@ -299,7 +299,7 @@ def _solve_trial(
     """Write and solve the problem of a trial; returns the status and residual for `judge_step`."""
     trial = control[at.TRIAL]
     elastic = control[at.ELASTIC] == 1.0
-    start_trial(control, trial, method.lead)
+    start_trial(control, state, trial, method.lead)
     ready = prepare_step(model, state, control, method.motion, guess, rows, problem, work)
     if not ready:
         return codes.CONTACT_OVERFLOW, math.inf
@@ -379,6 +379,7 @@ def _copy_state(source: State, target: State, n_free: int) -> None:
         target.middle[i] = source.middle[i]
     for i in range(source.path_time.size):
         target.path_time[i] = source.path_time[i]
+    target.owed[0] = source.owed[0]
 
 
 @kernel

@@ -573,17 +573,19 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
 
 
 @large_kernel
-def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
+def _extrapolate(state: State, step: float, problem: Problem, smooth: bool) -> None:
     """Carry the velocities of bodies from the middle of a step, where they were solved for, to its
     end.
 
-    The implicit midpoint rule: second order, and never more kinetic energy. Not for a body that
-    jumped or came to rest: it goes on with what it had in the middle. A body jumped that changed
-    its velocity along the normal of a contact, by a large part of the change or, if `smooth`, of
-    the velocity; or by more than forces explain, unless `smooth`. Nor for a body on a contact that
-    changed its velocity back: the error of one extrapolation would change its sign with each step.
+    The implicit midpoint rule: second order, and never more kinetic energy. Not where a body jumped
+    or came to rest: all go on with what they had in the middle, and owe half a step of forces. A
+    body jumped that changed its velocity along the normal of a contact, by a large part of the
+    change or, if `smooth`, of the velocity; or by more than forces explain, unless `smooth`. Nor
+    where a body on a contact changed its velocity back: the error of one extrapolation would change
+    its sign with each step.
     """
     n_dof = problem.size[at.N_FREE_DOF]
+    reach = 1.0 + 0.5 * step / (state.owed[0] + 0.5 * step)
     v = problem.velocity
     scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, mark.
     for o in range(0, n_dof, 3):
@@ -623,29 +625,19 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
         forward = 0.0
         swing = 0.0
         for k in range(o, o + 3):
-            forward += v[k] * (2.0 * v[k] - state.velocity[k])
+            forward += v[k] * (state.velocity[k] + reach * (v[k] - state.velocity[k]))
             swing += (v[k] - state.velocity[k]) * (state.velocity[k] - state.middle[k])
         mark = scratch[o + 2]
         if (forward <= 0.0 and mark >= RUBBED) or (swing < 0.0 and mark == PRESSED):
             scratch[o + 2] = BLOCKED
-    spreading = True
-    while spreading:  # from body to body: only together do they keep from gaining energy
-        spreading = False
-        for i in range(problem.size[at.N_CONTACT]):
-            o = problem.contact_dof[i, 0]
-            other = problem.contact_dof[i, 1]
-            if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
-                continue
-            blocked = o if scratch[o + 2] == BLOCKED else other
-            alone = (scratch[o + 2] == BLOCKED) != (scratch[other + 2] == BLOCKED)
-            if alone and scratch[blocked] > STILL:  # others slide along one that stays at rest
-                scratch[o + 2] = BLOCKED
-                scratch[other + 2] = BLOCKED
-                spreading = True
+    state.owed[0] = 0.0
     for o in range(0, n_dof, 3):
-        reach = 1.0 if scratch[o + 2] == BLOCKED else 2.0
+        if scratch[o + 2] == BLOCKED and scratch[o] > STILL:  # not one that stays at rest
+            state.owed[0] = 0.5 * step
+    for o in range(0, n_dof, 3):
+        far = 1.0 if state.owed[0] > 0.0 or scratch[o + 2] == BLOCKED else reach
         for k in range(o, o + 3):
-            state.velocity[k] += reach * (v[k] - state.velocity[k])
+            state.velocity[k] += far * (v[k] - state.velocity[k])
 
 
 @kernel
@@ -668,7 +660,7 @@ def move(model: Model, state: State, step: float, problem: Problem, extrapolatio
             )
     first = 0
     if extrapolation > 0:
-        _extrapolate(state, problem, extrapolation == 2)
+        _extrapolate(state, step, problem, extrapolation == 2)
         first = problem.size[at.N_FREE_DOF]
     for i in range(problem.size[at.N_DOF]):
         state.middle[i] = v[i]

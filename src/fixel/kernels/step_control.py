@@ -118,9 +118,9 @@ def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool)
 
 
 @kernel
-def start_trial(control: FloatArray, step: float, lead: float) -> None:
+def start_trial(control: FloatArray, state: State, step: float, lead: float) -> None:
     """Set how a trial of this length is prepared: rows taken `lead` of it after its start."""
-    span = 0.5 * step if control[at.STAGGERED] == 1.0 else step
+    span = state.owed[0] + 0.5 * step if control[at.STAGGERED] == 1.0 else step
     control[at.TRIAL] = step
     control[at.LEAD] = lead * step
     control[at.SPAN] = span

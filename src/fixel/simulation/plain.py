@@ -40,7 +40,11 @@ class _Loop:
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
         self.state = arrays.State(
-            self.pose.copy(), np.zeros(wide), np.zeros(2 * n_driven), np.zeros(wide)
+            self.pose.copy(),
+            np.zeros(wide),
+            np.zeros(2 * n_driven),
+            np.zeros(wide),
+            np.zeros(1),
         )
         self.control = np.zeros(at.N_CONTROL)
         self.inertial = motion.kind == codes.DYNAMIC
@@ -60,7 +64,7 @@ class _Loop:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
         control = self.control
-        entries.start_trial(control, step, lead)
+        entries.start_trial(control, state, step, lead)
         if not entries.contacts(model, state, control, guess, self.pose, problem, work):
             return stepping.StepTrial(codes.CONTACT_OVERFLOW, math.inf)
         span = float(control[at.SPAN])

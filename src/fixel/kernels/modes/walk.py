@@ -505,7 +505,7 @@ def _walk(
     problem, work = allocate(model, method.max_contacts)
     mode = empty_mode(model)
     wide = problem.momentum.size
-    state = State(start.copy(), np.zeros(wide), np.zeros(2), np.zeros(wide))
+    state = State(start.copy(), np.zeros(wide), np.zeros(2), np.zeros(wide), np.zeros(1))
     rows = start.copy()
     guess = np.zeros(wide)
     control = np.zeros(at.N_CONTROL)
