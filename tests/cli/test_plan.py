@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.cli.shell import fixel, invoked, json_of, missing, output, refusal
+from tests.workflows.planning.plans import rig_plan
 
 from fixel.cli.main import app
 from fixel.testing.scenes import pushed_square
 from fixel.workflows.planning.report import numbers_of
-from fixel.workflows.planning.request import load_plan
+from fixel.workflows.planning.request import load_plan, load_trials
 
 GOAL = """
 fixel: 1
@@ -174,6 +175,29 @@ def test_a_plan_with_looks_states_what_they_are_worth(printed, with_looks):
     assert f"Look 1 raises the success probability from {before:.2f} to {after:.2f}" in printed
     assert before < after <= last
     assert looks["pushes"] <= 3.0
+
+
+@pytest.fixture
+def stroke(tmp_path):
+    """A plan for a drive with one axis."""
+    from fixel.workflows.planning.request import FoundPlan, PlanRequest, save_plan
+
+    path = tmp_path / "stroke.plan"
+    save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
+    return path
+
+
+def test_a_mistake_in_the_pose_of_the_end_is_found_before_the_push(capsys, stroke):
+    words = ["plan", "run", stroke, "--driver", "simulated", "--start", "90,0,22.5"]
+    assert "--end" in refusal(capsys, *words, "--end", "100,0")
+
+
+def test_a_mistyped_pose_of_the_end_does_not_lose_the_trial(capsys, stroke, monkeypatch):
+    typed = iter(["90,0,22.5", "100;0", "100,0,22"])
+    monkeypatch.setattr("typer.prompt", lambda *_: next(typed))
+    output(capsys, "plan", "run", stroke, "--driver", "simulated")
+    (trial,) = load_trials(stroke, load_plan(stroke)).trials
+    np.testing.assert_allclose(trial.end, (0.1, 0.0, np.deg2rad(22.0)))
 
 
 @pytest.mark.system

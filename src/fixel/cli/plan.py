@@ -245,7 +245,7 @@ def run(
         done = run_on_drive(
             plan,
             chosen_actuator(driver, port, notify=notify),
-            seen=_asked_poses(start, end),
+            seen=_asked_poses(start=start, end=end),
             notify=notify,
             by=by,
             recording=recording,
@@ -277,15 +277,21 @@ def _check_unused(
         raise InvalidInput(unused[0], found=f"the driver {driver}", expected=expected)
 
 
-def _asked_poses(*given: str | None) -> Callable[[str], "FloatArray"]:
+def _asked_poses(**given: str | None) -> Callable[[str], "FloatArray"]:
     """Return a function that returns the given poses in turn, and prompts for missing ones."""
     from fixel.model.fields import pose_of
 
-    poses = iter(given)
+    # A mistake in the pose of the end must not lose the trial of a push that was made.
+    poses = iter([t if t is None else pose_of(t, f"--{k}") for k, t in given.items()])
 
     def seen(sentence: str) -> "FloatArray":
         notify(sentence)
-        text = next(poses)
-        return pose_of(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
+        pose = next(poses)
+        while pose is None:
+            try:
+                pose = pose_of(typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
+            except InvalidInput as mistake:
+                notify(str(mistake))
+        return pose
 
     return seen

@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +25,7 @@ from fixel.testbed.simulated import SimulatedTestbed, repeat_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 from fixel.workflows.acquisition import RecordPlan, film_experiments
+from fixel.workflows.planning import execute
 from fixel.workflows.planning.execute import (
     check_plan,
     present_belief,
@@ -189,6 +191,26 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
     )
     np.testing.assert_allclose(done.trials[0].end, plan.end, atol=0.005)
     assert open_recording(out).complete
+
+
+def test_an_end_that_the_camera_did_not_see_is_asked_for(tmp_path: Path, monkeypatch):
+    """The push was made: whatever fails after it must not lose the trial."""
+    path, said = stored(rig_plan(), tmp_path / "a.plan"), []
+
+    def lost(*_: object) -> None:
+        raise InvalidInput("recording", found="no part in its last frame", expected="the part")
+
+    monkeypatch.setattr(execute, "_recorded", lambda _: nullcontext())
+    monkeypatch.setattr(execute, "_tracked_end", lost)
+    done = run_on_drive(
+        path,
+        SimulatedActuator(clock=Clock()),
+        seen=poses("90,0,22.5", "100,0,22"),
+        notify=said.append,
+        recording=RecordPlan(camera="0", folder=tmp_path / "out", rig="thesis-tags"),
+    )
+    assert done.trials[0].end == pytest.approx((0.1, 0.0, math.radians(22.0)))
+    assert "no part in its last frame" in said[-1]
 
 
 @pytest.mark.parametrize(("seen", "camera", "message"), [

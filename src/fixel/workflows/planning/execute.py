@@ -196,10 +196,13 @@ def run_on_drive(
                 why = f"drive stopped: {why}"[:200]
                 request.add_trials(path, file, _trial(start, None, False, why, by))
             raise
+    end = None
     if recording is not None and recording.rig is not None:
-        end = _tracked_end(plan, recording, project)
-    else:
-        end = seen("Enter the pose of the part at its end.")
+        try:
+            end = _tracked_end(plan, recording, project)
+        except FixelError as problem:  # the push was made: its trial must not be lost
+            notify(f"The end was not tracked: {problem}")
+    end = seen("Enter the pose of the part at its end.") if end is None else end
     # These drives report neither stalls nor forces: the goal is judged by the pose alone.
     fixels = None if plan.fixels is None else plan.fixels[None]
     track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), fixels)
