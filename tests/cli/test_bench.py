@@ -1,14 +1,19 @@
 """Output of `fixel bench`: trouble without a terminal, and the next command."""
 
 import json
+import re
 import socket
+from html import unescape
 from types import SimpleNamespace
 
 import pytest
+from tests.cli.shell import refusal
 from tests.fixtures import short_plan
+from tests.web.bench import Bench
 
 from fixel.cli import bench
 from fixel.cli.main import run
+from fixel.database.project import Project
 from fixel.formats.plan_file import plan_text
 
 
@@ -86,3 +91,17 @@ def test_a_dry_run_serves_no_page(tmp_path, capsys, monkeypatch):
     assert "Open http" not in printed.err
     assert "the drive can perform every row" in printed.out
     assert printed.out.splitlines()[-1] == f"Next: fixel bench {plan} --emulated --project {lab}"
+
+
+def test_a_missing_rig_is_named_as_its_door_names_it(tmp_path, capsys):
+    plan, lab = tmp_path / "few.yaml", tmp_path / "lab"
+    plan.write_text(plan_text(short_plan()))
+    Project.create(lab)
+    message = refusal(capsys, "bench", plan, "--project", lab)
+    assert "--rig: found none" in message
+    assert "set --rig FILE" in message
+    page = Bench(lab)
+    shown = unescape(page.submit("/bench").text)
+    page.close()
+    assert "set rig FILE, or write it once into fixel.yaml" in shown
+    assert "--" not in re.search(r"rig: found[^<]*", shown)[0]

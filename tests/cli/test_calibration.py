@@ -85,6 +85,8 @@ def test_a_campaign_lists_every_experiment_once(capsys, project):
     (("--fit", "mu_pushr"), "known names; did you mean 'mu_pusher'?"),
     (("--fit", "tripod_radius=10:60"), "is 10 to 60 m, but must be bounds in metres"),
     (("--fit", "tripod_radius=10:60"), "write tripod_radius_mm=LOW:HIGH"),
+    (("--fit", "tripod_radius[shape=square]"), "--fit: found tripod_radius for some conditions"),
+    (("--fit", "tripod_radius[shape=square]"), "fixel calibrate --space FILE"),
     (("--fit", "start_theta=-5:5"), "write start_theta_deg=LOW:HIGH"),
     (("--fit", "mu_pusher=1:0"), "--fit mu_pusher: found bounds 1 to 0, but fixel needs the lower"),
     (("--fit", "mu_pusher=-1:2"), "--fit mu_pusher: found bounds -1 to 2, but fixel needs bounds"),

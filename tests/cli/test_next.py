@@ -108,6 +108,8 @@ def test_experiments_whose_conditions_name_no_surface_are_used(capsys, tmp_path)
     text = output(capsys, "next", "-p", lab, "--part", "part-3", "--contacts", 4, "-n", 2)
     assert "Next pushes of part-3, after 6 pushes" in text
     assert "learned from 12 pushes of 2 parts" in text
+    other = refusal(capsys, "next", "-p", lab, "--part", "part-3", "--surface", "abs")
+    assert "--surface is 'abs', but must be a known name; there is none" in other
 
 
 @pytest.mark.parametrize("part", ["part-1", "part=part-1"])

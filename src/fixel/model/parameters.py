@@ -219,8 +219,8 @@ def info_of(name: str, where: str = "parameters") -> ParameterInfo:
     if "." in str(name):
         return engine_parameter(name)
     if "[" in str(name):
-        found = f"{name!r}, a value for some conditions only"
-        hint = "fit.values_for(...) selects them"
+        found = f"{name.partition('[')[0]} for some conditions only"
+        hint = "select with fit.values_for(...); search them with fixel calibrate --space FILE"
         raise InvalidInput(where, found=found, expected="one value for each parameter", hint=hint)
     raise unknown_name(where, name, KNOWN_PARAMETERS, more=", load_1, load_2, ...")
 

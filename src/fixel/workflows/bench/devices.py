@@ -264,7 +264,7 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
     """
     if not settings["rig"]:
         expected = "the rig with camera and markers"
-        hint = "give --rig FILE, or write it once into fixel.yaml: bench: {rig: FILE}"
+        hint = "set rig=FILE, or write it once into fixel.yaml: bench: {rig: FILE}"
         raise InvalidInput("rig", found="none", expected=expected, hint=hint)
     rig = rig_of(settings["rig"])
     size = rig.camera.lens.image_size
@@ -288,7 +288,7 @@ def _frame(text: str, drive: AbstractActuator) -> FloatArray | None:
         return None
     if not text:
         expected = "the pose of the drive's coordinates in the world, for several axes"
-        hint = "--drive-pose X,Y,ANGLE in mm and degrees"
+        hint = "set drive_pose=X,Y,ANGLE in mm and degrees"
         raise InvalidInput("drive_pose", found="none", expected=expected, hint=hint)
     return pose_of(text, "drive_pose")
 

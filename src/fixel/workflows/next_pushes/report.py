@@ -197,7 +197,7 @@ def select(project: Project, asked: Any) -> NextSelection:
         )
     if first is None and not offered and not mine:
         raise _no_part(of_part, known)
-    surfaces = sorted({str(own.conditions.get(of_surface.name, "")) for own in mine})
+    surfaces = sorted({str(own.conditions.get(of_surface.name, "")) for own in mine} - {""})
     if not of_surface.value:
         if len(surfaces) > 1:
             raise InvalidInput("surface", found="none", expected="one of " + ", ".join(surfaces))
