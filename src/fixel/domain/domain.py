@@ -16,6 +16,7 @@ import numpy as np
 
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.mixed import numbered
+from fixel.calibration.objective import ANGLE_SCALE
 from fixel.domain.cells import CellAxis, Cells, coordinates_of, label_of, refuse_missing
 from fixel.domain.claim import (
     COLOURS,
@@ -55,7 +56,8 @@ MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
 class DomainMap(Result):
     """Map of the cells for each group of experiments.
 
-    Made by `fixel.map_domain`.
+    Made by `fixel.map_domain`. Errors are root mean squares of position and angle, with a radian
+    as long as in the error that was calibrated: 35 mm, unless that was changed.
 
     Parameters
     ----------
@@ -205,7 +207,8 @@ class DomainMap(Result):
         n, folds = len(self.evidence), len(set(self.evidence.fold.tolist()))
         words = ", ".join(f"{counts[c]} {_WORDS[c]}" for c in COLOURS if counts[c])
         best = self.next_experiment
-        notes = [f"{words} of {sum(counts.values())} cells"]
+        weight = f"1 rad counts as {self.source.get('scale_mm', 1e3 * ANGLE_SCALE):g} mm"
+        notes = [f"{words} of {sum(counts.values())} cells; {weight}"]
         if best is not None:
             group = f"{best.group}: " if best.group else ""
             notes.append(f"most informative next experiment: {group}{best.where} ({best.reason})")

@@ -16,7 +16,7 @@ import pytest
 from tests.fixtures import refused
 
 import fixel
-from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
+from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_parts, example_pushes
 from fixel.workflows import jobs
 
 BOUNDS = {"mu_pusher": (0, 1), "tripod_radius": (0.01, 0.06)}
@@ -209,6 +209,21 @@ def test_experiments_that_cannot_be_compared_are_refused(pushes):
     refused(fixel.calibrate, [], BOUNDS, match="found none", **QUIET)
     with pytest.raises(fixel.InvalidInput, match="budget: found mode each"):
         fixel.calibrate_each(pushes[:1], BOUNDS, budget=10.0, **QUIET)
+
+
+def test_parts_of_different_shapes_that_share_a_support_are_named():
+    """One value for them is right only if they stand alike, which their outlines do not show."""
+    feet = fixel.Tripod(radius=0.03, friction=0.25)
+    pushes = [
+        replace(own, scene=replace(own.scene, bodies=(replace(own.scene.bodies[0], support=feet),)))
+        for own in example_parts(3, 2)
+    ]
+    for used, by, shared in ((pushes, (), 3), (pushes[:4], (), 2), (pushes[:2], (), 0),
+                             (pushes, "part", 0)):  # fmt: skip
+        space = {"mu_pusher": (0, 1), "tripod_radius": fixel.Parameter(0.01, 0.06, by=by)}
+        text = str(fixel.calibrate(used, space, motion="quasistatic", verdicts=False, **QUIET))
+        found = re.findall(r"(\d) different parts share tripod_radius; the key where", text)
+        assert found == [str(shared)] * (shared > 0)
 
 
 def test_one_value_for_each_condition(pushes):

@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 from tests.fixtures import project_of, refused
 
 import fixel
-from fixel.calibration.objective import Comparer
+from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import targets_of
 from fixel.calibration.usual_parameters import search_space
 from fixel.errors import InvalidInput, NotStored
@@ -76,6 +76,14 @@ def test_a_map_says_what_it_rests_on(found):
     text = repr(found)
     assert "error <= 0.2 mm in 90 % of new pushes (held out, 2 folds, 10 experiments)" in text
     assert found.to_dict()["pushes"] == [5, 5]
+    assert "; 1 rad counts as 35 mm" in text
+
+
+def test_a_map_states_the_weight_of_angles_that_its_errors_have(pushes):
+    error = MeanSquare(angle_scale=0.02)
+    fit = fixel.calibrate(pushes, SPACE, error=error, verdicts=False, **QUIET)
+    found = map_domain(pushes, fit, axes=["side"], folds=2, **QUIET)
+    assert "; 1 rad counts as 20 mm" in repr(found)
 
 
 def test_numbers_between_tried_ones_belong_to_the_nearest(pushes):

@@ -263,9 +263,8 @@ def open_devices(settings: Mapping[str, Any]) -> Iterator[BenchDevices]:
     `DeviceFailed` if one does not answer as it should.
     """
     if not settings["rig"]:
-        expected = "the rig with camera and markers"
         hint = "set rig=FILE, or write it once into fixel.yaml: bench: {rig: FILE}"
-        raise InvalidInput("rig", found="none", expected=expected, hint=hint)
+        raise InvalidInput("rig", found="none", expected="a rig with camera and markers", hint=hint)
     rig = rig_of(settings["rig"])
     size = rig.camera.lens.image_size
     with ExitStack() as stack:

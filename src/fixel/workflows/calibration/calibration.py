@@ -39,6 +39,7 @@ from fixel.io.atomic import readable
 from fixel.io.document import plain_numbers
 from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
+from fixel.model.parameters import info_of
 from fixel.model.records import Estimate, estimate_table
 from fixel.model.space import ParameterSpace, values_under
 from fixel.results import Result, Summary
@@ -189,12 +190,9 @@ class Calibration(Result, Mapping[str, float]):
         for u in self.space.unknowns:
             best = self._values[u.label]
             own = known.get(u.label) or Estimate(label=u.label, unit=u.unit, value=best)
-            own = replace(own, unit=u.unit, best_fit=best, before=u.nominal)
-            found[u.label] = (
-                replace(own, verdict="frozen")
-                if u.frozen
-                else replace(own, bounds=(u.low, u.high), level=self.level)
-            )
+            more: dict[str, Any] = {"bounds": (u.low, u.high), "level": self.level}
+            more = {"verdict": "frozen"} if u.frozen else more
+            found[u.label] = replace(own, unit=u.unit, best_fit=best, before=u.nominal, **more)
         return MappingProxyType(found)
 
     @property
@@ -540,12 +538,16 @@ class Calibration(Result, Mapping[str, float]):
         ]
 
     def _further_notes(self) -> list[str]:
-        """Number of solutions, and the command that calibrates a larger model after a misfit."""
+        """Number of solutions, parameters that different parts share, and a larger model."""
         n = len(self.found.solutions)
         notes = [f"{n} distinct parameter sets fit almost equally well"] if n > 1 else []
-        if not self.found.misfit_ratio >= WARNED:
-            return notes
-        larger = enlarged_command(self.run.asked, self.request)
+        shapes = {own.case.scene.bodies[0].shape.outline.tobytes() for own in self.targets}
+        shared = [u.name for u in self.space.free if info_of(u.name).stands_for and not u.where]
+        if len(shapes) > 1 and shared:
+            how = "the key where of a file for --space, or by= in Python, gives each its own"
+            notes.append(f"{len(shapes)} different parts share {', '.join(shared)}; {how}")
+        misfit = self.found.misfit_ratio >= WARNED
+        larger = enlarged_command(self.run.asked, self.request) if misfit else ""
         return [*notes, f"a larger model may fit better: {larger}"] if larger else notes
 
     @property

@@ -176,9 +176,8 @@ def run_on_drive(
     plan = file.found.plan
     push = _straight(plan)
     x, y, angle = plan.start[0]
-    start = seen(
-        f"Place the part at {1e3 * x:.2f}, {1e3 * y:.2f} mm, {math.degrees(angle):.2f} deg."
-    )
+    place = f"{1e3 * x:.2f}, {1e3 * y:.2f} mm, {math.degrees(angle):.2f} deg"
+    start = seen(f"Place the part at {place}.")
     check_start(plan, start)
     notify(f"Moving the drive by {1e3 * push.stroke:.2f} mm.")
     speed = plan.scene.pushers[0].drive.speed  # type: ignore[union-attr]
