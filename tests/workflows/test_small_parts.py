@@ -132,3 +132,14 @@ def test_pushes_of_small_parts_are_equal_as_those_of_large_ones(measured, scale,
     targets = [target_of(pushed(own, scale)) for own in (measured, shifted)]
     assert len(equal_pushes(targets, "", "").pushes) == equal
     assert distinct(PartPushes(targets)) == 2 - equal
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 100.0])
+def test_part_models_simulate_small_parts_as_exactly_as_large_ones(measured, scale):
+    """Steps of 1 mm are one step for a peg of 1 mm; adaptive steps are right at any size."""
+    push = pushed(measured, scale)
+    (end,), (good,) = PartPushes([target_of(push)]).simulate(np.array([0]), {})
+    exact = fixel.simulate(push.scene, motion="quasistatic")["peg"].at(4.0)
+    assert good
+    assert_allclose(end[:2], exact[:2], atol=scale * 0.01 * mm)
+    assert_allclose(end[2], exact[2], atol=1.0 * deg)

@@ -17,6 +17,7 @@ from fixel.domain.features import simulated_features
 from fixel.errors import InvalidInput
 from fixel.model import Disk, PathDrive, Scene, pose_error, rotated, wrapped
 from fixel.model.scene import check_push
+from fixel.model.shape import length_scale
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.pack import pusher_path
@@ -281,7 +282,8 @@ def choose_pushes(
     return np.array(chosen, np.int64), np.array(variance)
 
 
-# Quasi-static pushes do not depend on time: all are simulated at one speed, in steps of 1 mm.
+# Quasi-static pushes do not depend on time: all are simulated at one speed, in steps of 1 mm, or
+# shorter ones for parts below 3 mm.
 PACE: Final = 10e-3  # [m/s]
 STEP: Final = 0.1  # [s]
 LOST_PUSH: Final = 20e-3  # distance that a push counts that cannot be simulated [m]
@@ -357,12 +359,13 @@ def paced(scene: Scene, duration: float) -> Scene:
     path = pusher_path(pusher, duration)
     path = path[path[:, 0] <= duration]
     way = np.linalg.norm(np.diff(path[:, 1:3], axis=0), axis=1)
-    way += ANGLE_SCALE * np.abs(np.diff(path[:, 3]))
+    scale = length_scale(scene.bodies[0].shape)
+    way += scale * ANGLE_SCALE * np.abs(np.diff(path[:, 3]))
     keep = np.concatenate(([True], way > 0.0))
     path, way = path[keep], way[way > 0.0]
     if len(path) < 2:
         raise InvalidInput("scene.pusher", found="a pusher at rest", expected="a pusher that moves")
-    path[:, 0] = np.concatenate(([0.0], np.cumsum(way))) / PACE
+    path[:, 0] = np.concatenate(([0.0], np.cumsum(way))) / (scale * PACE)
     drive = PathDrive(path, force_limit=pusher.drive.force_limit)
     moving = replace(pusher, pose=path[0, 1:], drive=drive, restitution=0.0)
     return replace(scene, pushers=(moving,), duration=float(path[-1, 0]))

@@ -27,7 +27,8 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 MAX_SESSIONS: Final = 20  # a condition with more values names no sessions
 SESSIONS: Final = ("session", "date", "day", "batch", "speed", "speed_m_s")
 # Two pushes are at one spot of the table within the first length and angle; beyond the others they
-# are elsewhere with the same orientation, or turned.
+# are elsewhere with the same orientation, or turned. These are lengths of tables, for parts of all
+# sizes: a table that is uneven over 20 mm is so under small parts, too.
 SPOT: Final = (5e-3, math.radians(5.0))  # [m, rad]
 ELSEWHERE: Final = (20e-3, math.radians(10.0))
 TURNED: Final = math.radians(85.0)
