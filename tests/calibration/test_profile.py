@@ -38,7 +38,6 @@ def test_linear_model_has_the_textbook_interval():
     slices = np.array([(p.slice.low, p.slice.high) for p in found.profiles])
     np.testing.assert_allclose(slices, np.c_[exact - alone, exact + alone], atol=0.02 * half[0])
     np.testing.assert_allclose(found.hessian, matrix.T @ matrix, rtol=1e-4)
-    assert found.better is None
 
 
 def test_prior_narrows_a_linear_interval_exactly():
@@ -177,8 +176,8 @@ def test_better_optimum_is_reported_and_the_profiles_are_about_it():
     where = box([0, 0], [1, 1], [0.2, 0.5])
     fitted, found = calibrated(two, where)
     assert fitted.point[0] == pytest.approx(0.25, abs=0.01)
-    assert found.better.point[0] == pytest.approx(0.7, abs=0.01)  # 3 % of the half-width
-    assert found.better.error < fitted.deviance - 0.5
+    assert found.best.point[0] == pytest.approx(0.7, abs=0.01)  # 3 % of the half-width
+    assert found.best.error < fitted.deviance - 0.5
     # The rise beyond 0.7 counts from there.
     high = found.profiles[0].high
     above = two(np.array([[high, 0.0]]))[0]
@@ -241,7 +240,6 @@ def test_all_failing_ends_with_a_reason():
     found = run_profiles(search, lambda points: np.full((len(points), 5), np.inf))
     assert search.reason
     assert found.profiles == ()
-    assert found.better is None
     assert search.ask().shape == (0, 3)
 
 

@@ -77,7 +77,6 @@ class Profiles(NamedTuple):
     """All unknowns."""
 
     best: Best  # the lowest deviance seen
-    better: Best | None  # the same where it is lower than the one given, else None
     threshold: float  # significant rise of the deviance
     roughness: float  # rise that means nothing; intervals end at the sum of both
     hessian: FloatArray  # (n, n) half the second derivatives of the deviance at the best
@@ -178,7 +177,6 @@ class ProfileSearch:
         self._options, self._nominal, self._cost = options, threshold, cost
         self._roughness = 0.0
         self._best = Best(np.clip(point, box.low, box.high), math.inf)
-        self._given = math.nan  # deviance at the point given
         self._met: dict[bytes, float] = {}  # deviance of each point evaluated
         self._hessian = np.zeros((box.n, box.n))
         self._sides: list[ProfileBranch] = []
@@ -243,10 +241,8 @@ class ProfileSearch:
     @property
     def profiles(self) -> Profiles:
         """Profiles as far as they are known; complete at the end."""
-        better = self._best.error < self._given - 1e-3 * self._nominal < math.inf
         return Profiles(
             best=self._best,
-            better=self._best if better else None,
             threshold=self._nominal,
             roughness=self._roughness,
             hessian=self._hessian,
@@ -256,8 +252,6 @@ class ProfileSearch:
 
     def _note(self, points: FloatArray, deviances: FloatArray) -> None:
         self._met.update(zip(map(bytes, points), deviances.tolist(), strict=True))
-        if math.isnan(self._given):
-            self._given = float(deviances[0])
         k = int(np.argmin(deviances))
         if deviances[k] < self._best.error:
             self._best = Best(points[k].copy(), float(deviances[k]))

@@ -8,6 +8,7 @@ import pytest
 from tests.fixtures import refused
 
 import fixel
+from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.model import Disk, LineDrive, PlannedExperiment, Pusher
 from fixel.parts.next_pushes import push_candidates
@@ -102,6 +103,25 @@ def test_one_more_experiment_gives_the_same_from_the_previous_estimates():
     for label, own in alone.half_widths.items():
         assert alone.calibration[label] == pytest.approx(right().calibration[label], rel=2e-3)
         assert own == pytest.approx(right().half_widths[label], rel=0.1)
+
+
+def test_estimates_leave_the_wrong_valley_of_previous_ones():
+    """They end in the valley of the best value of a dense grid."""
+    bench = SimulatedTestbed(seed=4, pusher_friction=2.0, fixel_friction=1.2, support_friction=1.2)
+    done, space = tuple(bench.run(thesis_plan().experiments[:2], threads=1)), {"mu_pusher": (0, 1)}
+    options = {"motion": "quasistatic", "threads": 1}
+    wrong = fixel.calibrate(
+        done, space, start={"mu_pusher": 0.97}, optimiser="least-squares", max_evaluations=1,
+        verdicts=False, progress=False, **options,
+    )  # fmt: skip
+    previous = replace(estimate(done, space, **options), calibration=wrong)
+    found = estimate(done, space, previous=previous, **options).calibration
+    comparer = Comparer(found.targets, found.space, motion=found.motion, threads=1)
+    grid = np.linspace(0.0, 1.0, 51)
+    errors = [np.mean(comparer.errors_at(np.array([value]))) for value in grid]
+    assert wrong["mu_pusher"] == pytest.approx(0.97)
+    assert found["mu_pusher"] == pytest.approx(grid[np.argmin(errors)], abs=0.03)
+    assert np.mean(found.found.errors) < 1.05 * min(errors)
 
 
 def test_expected_widths_are_those_that_the_experiments_give():

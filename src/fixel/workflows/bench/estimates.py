@@ -48,6 +48,7 @@ from fixel.units import deg, displayed, mm, mrad, um
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.run import calibrate
 
+STARTS: Final = 3  # of a search: the previous estimates may lie in a wrong valley
 AHEAD: Final = 5  # rows after which the intervals are predicted
 MOST: Final = 48  # candidates of one choice; of more, others are compared each time
 LITTLE: Final = 0.05  # share by which all candidates together must narrow an interval
@@ -166,13 +167,14 @@ def estimate(
     """Estimate parameters from the experiments so far.
 
     Arguments are those of `fixel.calibrate`, and the confidence level of the intervals. The search
-    starts from the previous estimates, before the last experiment. An experiment that cannot be
-    simulated raises `InvalidInput`.
+    starts from the previous estimates, before the last experiment, and from two random points. An
+    experiment that cannot be simulated raises `InvalidInput`.
     """
     fit = calibrate(
         experiments,
         space,
         optimiser="least-squares",
+        starts=STARTS,
         start=None if previous is None else previous.calibration,
         motion=motion,
         level=level,
@@ -254,7 +256,7 @@ def _parabolas(
         one = Slice(values, rise, left, right)
         profiles.append(Profile(k, values, rise, points, low, high, one, moved / unit, put_back))
     least = Best(best.point, 0.0)
-    return Profiles(least, None, threshold, 0.0, curved, tuple(profiles), 0), half
+    return Profiles(least, threshold, 0.0, curved, tuple(profiles), 0), half
 
 
 def _held_out(shifted: ShiftModel, members: Sequence[int], data: Linear) -> Mapping[str, float]:
