@@ -38,6 +38,7 @@ EPSILON = (
     1e-7  # compliance of a held constraint, relative to its block's; larger needs more iterations
 )
 FLOOR = 1e-11  # of a block's stiffness, added to its inertia: unconstrained blocks do not move
+FIRM = 10.0  # least stiffness where a contact sticks, in its block's: softer, it slides to and fro
 SINGULAR = 1e-9  # determinant, relative to the diagonal: supports that do not resist every motion
 
 # State of a contact in this iteration: the constrained velocities. With given friction limits a
@@ -339,7 +340,7 @@ def _add_contacts(
             if un > 0.0 and pn > 0.0:
                 stiff = max(rho, min(stiff, pn / un))
             if ut != 0.0:
-                hold = max(rho, min(hold, (mu * pn + (pt if ut > 0.0 else -pt)) / abs(ut)))
+                hold = max(FIRM * rho, min(hold, (mu * pn + (pt if ut > 0.0 else -pt)) / abs(ut)))
         state = _APART
         cn = -pn
         ct = -pt
