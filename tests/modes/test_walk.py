@@ -220,7 +220,7 @@ def test_ends_that_only_coarse_fixed_steps_miss_are_not_flagged(seed):
     scene = random_grasp(seed)
     push = simulate(scene, accuracy=True)
     fine = simulate(scene, stepper=Adaptive(tolerance=1e-10))
-    assert max(_apart(push.final["part"], fine.final["part"])) < 0.05
+    assert max(_apart(push.final["part"], fine.final["part"])) < 0.02
     assert push.accuracy.verdict == "agreed"
     assert push.accuracy.angle < np.radians(0.1)
 

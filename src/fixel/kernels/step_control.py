@@ -12,7 +12,7 @@ from fixel.kernels.gap import FEATURES
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.solve import STILL_VELOCITY
-from fixel.kernels.step import RECOVERY, sweep_speed
+from fixel.kernels.step import CROWD, RECOVERY, sweep_speed
 from fixel.typing import FloatArray
 
 GROWTH_LIMIT = 10.0  # the step grows at most so much from one step to the next
@@ -38,9 +38,6 @@ CLOSED = 0.7
 FIRST = 30.0  # tolerances that bodies move, at most, in the first step after contacts change
 AFTER_IMPACT = 4.0  # the step grows at most so much after one where a contact closed
 FEW = 12  # unknowns up to which that is done: in heaps contacts change all the time, mostly unfelt
-# Bodies up to which the largest error counts; of more, four times the root mean square: in a crowd
-# some body always jumps, and most others hardly notice.
-CROWD = 16
 AIM = 0.1  # of the tolerance: gap left where a step of bodies with inertia ends at its closing
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
@@ -598,8 +595,7 @@ def fastest_in_sight(
 def largest_change(problem: Problem, guess: FloatArray) -> float:
     """Largest difference between solved and guessed velocity, over bodies and drives; of many
     bodies at most what `CROWD` of them would have if the others had none."""
-    largest = 0.0
-    squares = 0.0
+    largest = squares = 0.0
     v = problem.velocity
     for o in range(0, problem.size[at.N_FREE_DOF], 3):
         dx = v[o] - guess[o]
