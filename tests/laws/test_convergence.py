@@ -115,7 +115,7 @@ def test_a_contact_of_turning_bodies_stays_closed_to_third_order(finger, motion)
 def test_a_block_slides_along_a_slower_one_as_far_as_friction_lets_it(
     speed, press, friction, tolerance
 ):
-    """Each stops after v^2 / 2a; the heavy one, which slides along a smooth wall, stops first."""
+    """Both stop after v^2 / 2a; the rail, which slides along a smooth wall, stops first."""
     feet = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]])
     rail = Body(
         "rail", box(0.6, 0.04), mass=5.0, pose=(0.2, -0.02, 0.0), velocity=(speed, 0.0, 0.0),

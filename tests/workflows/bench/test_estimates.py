@@ -106,7 +106,7 @@ def test_one_more_experiment_gives_the_same_from_the_previous_estimates():
 
 
 def test_estimates_leave_the_wrong_valley_of_previous_ones():
-    """They end in the valley of the best value of a dense grid."""
+    """Live estimates end in the valley of the best value of a dense grid."""
     bench = SimulatedTestbed(seed=4, pusher_friction=2.0, fixel_friction=1.2, support_friction=1.2)
     done, space = tuple(bench.run(thesis_plan().experiments[:2], threads=1)), {"mu_pusher": (0, 1)}
     options = {"motion": "quasistatic", "threads": 1}
