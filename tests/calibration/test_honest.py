@@ -64,7 +64,8 @@ def _comparer(bench, planned=PLANNED, twice=False, still=0):
 
 
 @functools.cache
-def _fitted(name):
+def _fitted(name, start=""):
+    """Return comparer, assessment and steps; `start`: of the search, another one's end."""
     comparer = {
         "demo": lambda: _comparer(SimulatedTestbed(seed=1), DEMO),
         "wrong": lambda: _comparer(WRONG),
@@ -74,10 +75,11 @@ def _fitted(name):
         "one": lambda: _comparer(WRONG, PLANNED[:1]),
     }[name]()
     members = range(len(comparer.targets))
+    first = _fitted(start)[1].point if start else comparer.space.nominal
     asked = []
 
     def counted():
-        running = fit_steps(comparer, members, comparer.space.nominal)
+        running = fit_steps(comparer, members, first)
         try:
             ask = next(running)
             while True:
@@ -132,13 +134,16 @@ def test_experiments_stored_twice_do_not_shrink_intervals():
 
 
 def test_experiments_in_which_nothing_moves_add_no_information():
-    """Three of them made the residuals smaller, and the intervals narrower."""
-    _, seven, _ = _fitted("wrong")
-    _, ten, _ = _fitted("still")
+    """Three still ones of ten narrow no interval; by a sixth, if they counted as the others do.
+
+    Both searches start at one point: their ends alone change the widths by 8 %.
+    """
+    _, seven, _ = _fitted("wrong", start="wrong")
+    _, ten, _ = _fitted("still", start="wrong")
     assert ten.honest.clusters == seven.honest.clusters
     assert ten.dispersion.freedom == pytest.approx(seven.dispersion.freedom)
     assert ten.noise.position_m == pytest.approx(seven.noise.position_m, rel=0.01)
-    assert (ten.honest.sd > 0.95 * seven.honest.sd).all()
+    assert (ten.honest.sd > 0.9 * seven.honest.sd).all()
 
 
 def test_one_experiment_gives_wider_intervals_than_seven():
