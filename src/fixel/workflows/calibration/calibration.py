@@ -190,8 +190,8 @@ class Calibration(Result, Mapping[str, float]):
         for u in self.space.unknowns:
             best = self._values[u.label]
             own = known.get(u.label) or Estimate(label=u.label, unit=u.unit, value=best)
-            more: dict[str, Any] = {"bounds": (u.low, u.high), "level": self.level}
-            more = {"verdict": "frozen"} if u.frozen else more
+            interval = {"bounds": (u.low, u.high), "level": self.level}
+            more: dict[str, Any] = {"verdict": "frozen"} if u.frozen else interval
             found[u.label] = replace(own, unit=u.unit, best_fit=best, before=u.nominal, **more)
         return MappingProxyType(found)
 
